@@ -20,7 +20,7 @@ from helpers_attributes import attributed
 
 import voxtool
 from voxtool.camera import Camera
-from voxtool.choices import COLOUR_BY
+from voxtool.choices import COLOUR_BY, LABEL_STYLES
 from voxtool.files.formats import EXCHANGE
 from voxtool.svo.attribute_levels import CellValues
 from voxtool.svo.attributes import KINDS
@@ -46,6 +46,9 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
                 yield f"{format} {name}", digest(path.read_bytes())
     for level in ("voxel", 1):
         yield f"page, level {level}", plan_view(octree, "a", level=level).plan.content.digest()
+    for style in LABEL_STYLES:
+        surface = voxtool.extract(octree, by="label", style=style)
+        yield f"{style} by label", surface.digest()
     low, high = np.zeros(3), np.array(octree.grid.shape, float)
     for view in VIEWS:
         side, fov = golden_picture.VIEWS[view]

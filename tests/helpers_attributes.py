@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from voxtool.morton import morton_decode
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.octree import Octree
 
@@ -45,3 +46,35 @@ def attributed() -> Octree:
             Attribute("fraction", rng.random(some).astype("f4"), none[:, 0], masks, 1.0),
         ),
     )
+
+
+def label_array(octree: Octree) -> np.ndarray:
+    """The label of each voxel, (nx, ny, nz); -1 where none is set."""
+    found = np.full([-(-n // 4) * 4 for n in octree.grid.shape], -1)
+    values = octree.values("label")
+    leaves = iter(values.attribute.leaves.tolist())
+    for level in octree.levels():
+        if level.number:
+            side = level.side
+            for x, y, z in level.cells[level.inside]:
+                found[x : x + side, y : y + side, z : z + side] = next(leaves)
+        else:
+            each = values.of_bricks(slice(None))
+            at = 4 * morton_decode(level.codes)[:, None] + morton_decode(np.arange(64))
+            bits = octree.bricks[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1) == 1
+            found[tuple(at[bits].T)] = each[bits]
+    assert next(leaves, None) is None
+    nx, ny, nz = octree.grid.shape
+    return found[:nx, :ny, :nz]
+
+
+def labelled(labels: np.ndarray, names: tuple[str, ...]) -> Octree:
+    """An octree of bricks with the label of each voxel of an array; -1 where none is set."""
+    octree = replace(Octree.from_dense(labels >= 0, mode="surface26"), mode="solid")
+    padded = np.pad(labels, [(0, -n % 4) for n in labels.shape])
+    kept = np.flatnonzero(octree.bricks)
+    at = octree.levels()[-1].cells[kept][:, None] + morton_decode(np.arange(64))
+    held = (octree.bricks[kept, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1)) == 1
+    values = padded[tuple(at[held].T)].astype(np.uint8)
+    none = np.empty(0, np.uint8)
+    return replace(octree, attributes=(Attribute("label", values, none, names=names),))

@@ -124,6 +124,8 @@ from voxtool.svo.query import QueryJob as QueryJob
 from voxtool.svo.resample import ResampleJob as ResampleJob
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface as Isosurface
+from voxtool.svo.surface.labelled import LabelledJob as LabelledJob
+from voxtool.svo.surface.labelled import LabelledSurface as LabelledSurface
 from voxtool.svo.thin import ThinJob as ThinJob
 from voxtool.svo.voxelize import VoxelizeJob as VoxelizeJob
 from voxtool.svo.wall_links import LinksJob as LinksJob

@@ -30,6 +30,7 @@ STYLES = ("marching-cubes", "voxel-faces", "surface-nets", "sharp")  # of extrac
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS, SHARP = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.
 STYLE_ALIASES = {"smooth": MARCHING_CUBES, "blocks": VOXEL_FACES, "nets": SURFACE_NETS}
+VOXEL_LEVEL = "voxel"  # of samples that are single voxels
 LABEL_STYLES = (SURFACE_NETS, VOXEL_FACES)  # of meshes of labels, with common borders
 DEFAULT_TOLERANCE = 1e-3  # of a distance field, in sides of its cube
 # Levels of the leaves of a field, from the root on: a leaf of level 21 has a parent whose key has

@@ -16,11 +16,13 @@ from voxtool.choices import (
     FILLS,
     FRACTION,
     FRACTION_TYPES,
+    LABEL_STYLES,
     NORMALIZED,
     OPERATIONS,
     PRIORITIES,
     SHARP,
     STYLES,
+    VOXEL_LEVEL,
 )
 from voxtool.errors import GridError, VoxtoolError
 from voxtool.files import read_shape, read_svo
@@ -44,6 +46,7 @@ from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface import extract as surfaces
 from voxtool.svo.surface.isosurface import Isosurface
+from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 from voxtool.svo.surface.sharp import source_of
 from voxtool.svo.voxelize import VoxelizeJob
 
@@ -210,7 +213,8 @@ voxelize = one_call(plan_voxelize, "voxelize", Octree)
 def plan_extract(
     octree: Octree | DistanceField | Path,
     *,
-    style: str = STYLES[0],
+    style: str | None = None,
+    by: str | None = None,
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
@@ -228,8 +232,12 @@ def plan_extract(
         an Octree, a DistanceField or a path.
     style
         of an octree: "marching-cubes", "voxel-faces" (two triangles a square), "surface-nets", or
-        "sharp", which keeps the edges and corners of the source. Of a field: "sharp", or by default
-        a surface that rounds them off within a leaf.
+        "sharp", which keeps the edges and corners of the source; by default "marching-cubes", or
+        by labels "surface-nets". Of a field: "sharp", or by default a surface that rounds them off
+        within a leaf.
+    by
+        "label": one closed mesh for each label of an octree that has labels, as "surface-nets" or
+        "voxel-faces". Where two labels meet, their meshes have the same vertices and triangles.
     level
         level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
         marching cubes, otherwise "voxel".
@@ -248,8 +256,9 @@ def plan_extract(
 
     Returns
     -------
-    Isosurface, or FieldSurface of a field
-        plan_extract returns the job, ExtractJob or FieldSurfaceJob, whose `run` returns it.
+    Isosurface, or FieldSurface of a field, or LabelledSurface by label
+        plan_extract returns the job, ExtractJob, FieldSurfaceJob or LabelledJob, whose `run`
+        returns it.
 
     Raises
     ------
@@ -270,6 +279,17 @@ def plan_extract(
     >>> voxtool.write_mesh(surface, "bunny.ply")
     """
     found = opened(octree, read_shape)
+    if by is not None:
+        if isinstance(found, DistanceField):
+            raise VoxtoolError("by is of octrees: a field has no labels")
+        single = (isovalue, merge, source, offset, shell)
+        if single != (0.5, False, None, 0.0, None) or level not in (None, VOXEL_LEVEL):
+            raise VoxtoolError(
+                "by label, samples are voxels: leave out level, isovalue, merge, source, offset "
+                "and shell"
+            )
+        return plan_labelled(found, by=by, style=style or LABEL_STYLES[0], max_memory=max_memory)
+    style = style or STYLES[0]
     if isinstance(found, DistanceField):
         if (level, isovalue, merge) != (None, 0.5, False) or style not in (STYLES[0], SHARP):
             raise VoxtoolError(
@@ -291,7 +311,9 @@ def plan_extract(
     )  # fmt: skip
 
 
-SURFACE: Any = Isosurface | FieldSurface  # by the kind of what it is extracted from
+SURFACE: Any = (
+    Isosurface | FieldSurface | LabelledSurface
+)  # by the kind of what it is extracted from
 extract = one_call(plan_extract, "extract", SURFACE)
 
 

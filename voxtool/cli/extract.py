@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import MARCHING_CUBES, SHARP, STYLE_ALIASES, STYLES, VOXEL_FACES
+from voxtool.choices import (
+    BY,
+    LABEL_STYLES,
+    MARCHING_CUBES,
+    SHARP,
+    STYLE_ALIASES,
+    STYLES,
+    VOXEL_FACES,
+)
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, POSITIVE, flag, option, output_of, together
 from voxtool.errors import CheckError, MemoryLimitError, MeshError
@@ -28,8 +36,11 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
     option("--style", options.Alias(STYLES, STYLE_ALIASES),
         "marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
         "boundary of the voxels; surface-nets: smooth at full resolution, with every vertex inside "
-        "its cell; sharp: with the edges and corners of --source.  Coarser samples round off more.",
-        MARCHING_CUBES),
+        "its cell; sharp: with the edges and corners of --source.  Coarser samples round off more."
+        "  [default: marching-cubes, with --by surface-nets]"),
+    option("--by", BY,
+        "label: a closed mesh for each label, by name, in one .obj or .glb; meshes side by side "
+        "have the same vertices and triangles where they meet (surface-nets, voxel-faces)."),
     option("--level", LEVEL,
         "What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
         "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]", metavar="N|voxel"),
@@ -65,7 +76,7 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
 def command(
     run: runner.Run, octree: str, source: str | None, normals: bool, check: bool,
     against: str | None, samples: int | None, naive: bool, units: str | None, scale: float,
-    windows: str, **request: Any,
+    windows: str, by: str | None, **request: Any,
 ) -> None:  # fmt: skip
     """Extract a closed triangle mesh from an OCTREE or a distance field, visiting only the cubes
     that matter.
@@ -80,14 +91,16 @@ def command(
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
       voxtool extract bunny.svo.h5 --style sharp --source bunny.obj -o sharp.ply
       voxtool extract bunny.svo.h5 --naive -v
+      voxtool extract parts.svo.h5 --by label --check -o parts.glb
       voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
     """
-    style = request["style"]
-    if request["merge"] and style != VOXEL_FACES:
+    style = request["style"] = request["style"] or (LABEL_STYLES[0] if by else MARCHING_CUBES)
+    if by is None and request["merge"] and style != VOXEL_FACES:
         raise click.UsageError(f"--merge goes with --style {VOXEL_FACES}: {style} has no squares")
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
-    check_names(style, octree, source, against, bool(units or scale != 1))
+    if by is None:
+        check_names(style, octree, source, against, bool(units or scale != 1))
     from voxtool.files import MESH_FORMATS, open_shape, write_blocks, write_mesh
     from voxtool.files.mesh import load_mesh
     from voxtool.files.spool import Spool
@@ -98,6 +111,13 @@ def command(
     # named after its style: bunny.obj is the mesh that the octree was made from
     kind = "surface" if octree.endswith(".adf.h5") else style
     run.to(octree, output_of(octree, f"{kind}.{run.file_format or 'obj'}"), MESH_FORMATS)
+    if by is not None:
+        from voxtool.cli.extract_labels import extract_labels
+
+        request |= {"source": source, "against": against, "naive": naive, "normals": normals}
+        del request["style"]
+        extract_labels(run, octree, by, style, check, request)
+        return
     if normals:
         options.check_normals(run.file_format)
     more: dict[str, Any] = {}

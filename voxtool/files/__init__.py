@@ -22,6 +22,7 @@ from voxtool.files.formats import (
     MESH_EXTENSIONS,
     MESH_FORMATS,
     NORMAL_FORMATS,
+    PART_FORMATS,
     SVO_FORMATS,
     TET_FORMATS,
     TEXT_FORMATS,
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.octree import Octree
     from voxtool.svo.surface.blocks import BlockSurface
+    from voxtool.svo.surface.labelled import LabelledSurface
     from voxtool.svo.wall_links import WallLinks
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
@@ -62,6 +64,7 @@ __all__ = [
     "TEXT_FORMATS",
     "VOLUME_FORMATS",
     "atomic_path",
+    "check_holds_parts",
     "check_target",
     "export",
     "format_of",
@@ -389,12 +392,13 @@ def write_mesh(
     format: str | None = None,
     normals: np.ndarray | None = None,
 ) -> None:
-    """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off.
+    """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off; the
+    meshes of labels as .obj or .glb.
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
-        The triangle mesh.
+    mesh : Mesh, path, trimesh.Trimesh, pair of arrays, Isosurface or LabelledSurface
+        The triangle mesh; of labels, each becomes an object or a node of its name.
     path : path
         The file; `-` writes stdout, as OBJ.
     clobber : bool
@@ -415,8 +419,16 @@ def write_mesh(
         If the text does not fit in memory.
     """
     from voxtool.files.mesh import as_mesh
+    from voxtool.svo.surface.labelled import LabelledSurface
 
     format = format or format_of(path, MESH_FORMATS)
+    if isinstance(mesh, LabelledSurface):
+        if normals is not None:
+            raise FileError("meshes with common borders have no normals of vertices: omit them")
+        if format in MESH_FORMATS:
+            check_holds_parts(format)
+        _write(mesh, path, clobber, format, PART_FORMATS)
+        return
     if normals is not None and format in MESH_FORMATS and format not in NORMAL_FORMATS:
         held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
         raise FileError(
@@ -447,6 +459,13 @@ def write_wall_links(
         If the file cannot be written, or its name says no format.
     """
     _write(links, path, clobber, format, formats.LINK_FORMATS)
+
+
+def check_holds_parts(format: str) -> None:
+    """Raise FileError if a format of meshes holds a single one."""
+    if format not in PART_FORMATS:
+        held = " or ".join(f".{name}" for name in PART_FORMATS)
+        raise FileError(f".{format} holds one mesh without a name: write {held}")
 
 
 def _read(path: PathLike, kind: Kind) -> Any:
@@ -488,7 +507,14 @@ def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
 
 
 def _write(
-    content: Octree | MergedOctree | DistanceField | TetVolume | Mesh | BlockSurface | WallLinks,
+    content: Octree
+    | MergedOctree
+    | DistanceField
+    | TetVolume
+    | Mesh
+    | BlockSurface
+    | LabelledSurface
+    | WallLinks,
     path: PathLike,
     clobber: bool,
     format: str | None,

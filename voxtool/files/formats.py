@@ -158,6 +158,9 @@ MESH_FORMATS = {
     name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
     for name in ("obj", "ply", "stl", "glb", "off")
 }
+PART_FORMATS = {  # of several meshes in one file
+    name: Writer("mesh_parts", f"write_{name}", text=name == "obj") for name in ("obj", "glb")
+}
 TEXT_FORMATS = (  # fit for a terminal
     *(name for name, f in {**SVO_FORMATS, **MESH_FORMATS, **EXCHANGE}.items() if f.text),
     "csv",

@@ -60,7 +60,7 @@ def write_obj(
     _check_text(mesh, text_memory if normals is None else 2 * text_memory)
     text = given.export(
         file_type="obj",
-        digits=max(_decimals(mesh), 0 if normals is None else 9),
+        digits=max(decimals_of(mesh), 0 if normals is None else 9),
         include_normals=normals is not None and len(mesh.faces) > 0,
         include_color=False,
         include_texture=False,
@@ -75,7 +75,7 @@ def write_off(
     """Write OFF text, with as many decimals as the mesh needs."""
     given = _given(mesh, normals)
     _check_text(mesh, text_memory)
-    file.write(given.export(file_type="off", digits=_decimals(mesh)).encode())
+    file.write(given.export(file_type="off", digits=decimals_of(mesh)).encode())
 
 
 def write_ply(mesh: Mesh | BlockSurface, file: BinaryIO, normals: np.ndarray | None = None) -> None:
@@ -86,7 +86,7 @@ def write_ply(mesh: Mesh | BlockSurface, file: BinaryIO, normals: np.ndarray | N
         _write_ply_blocks(mesh, file)
         return
     given = _given(mesh, normals)
-    _check_float32(mesh, "PLY")
+    check_float32(mesh, "PLY")
     # without vertices, trimesh would compute normals
     with_normals = normals is not None and len(mesh.vertices) > 0
     file.write(given.export(file_type="ply", vertex_normal=with_normals))
@@ -113,7 +113,7 @@ def _write_ply_blocks(mesh: BlockSurface, file: BinaryIO) -> None:
 def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
     """Write binary STL: float32 corners and the unit normal of each face."""
     _check_finite(mesh, mesh.vertices, BAD_VERTEX)
-    _check_float32(mesh, "STL")
+    check_float32(mesh, "STL")
     triangles = mesh.vertices[mesh.faces]
     normal = _face_normals(triangles)
     content = SimpleNamespace(faces=mesh.faces, triangles=triangles, face_normals=normal)
@@ -126,7 +126,7 @@ def write_glb(
     """Write binary glTF 2.0: float32 coordinates and normals, uint32 indices, at most `limit`
     bytes."""
     given = _given(mesh, normals)
-    _check_float32(mesh, "GLB")
+    check_float32(mesh, "GLB")
     vertex_bytes = 12 if normals is None else 24
     if 12 * len(mesh.faces) + vertex_bytes * len(mesh.vertices) > limit:
         raise FileError("GLB holds 4 GiB at most and this mesh has more: write .ply")
@@ -153,7 +153,7 @@ def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
     return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
 
 
-def _decimals(mesh: Mesh) -> int:
+def decimals_of(mesh: Mesh) -> int:
     """Return the decimals that give a tenth of the largest coordinate 17 significant digits and
     resolve 1e-9 of the longest side."""
     used = mesh.vertices[mesh.faces].reshape(-1, 3) if len(mesh.faces) else mesh.vertices
@@ -183,7 +183,7 @@ def _check_finite(mesh: Mesh, rows: np.ndarray, message: str) -> None:
         raise MeshError(f"{mesh.name or 'mesh'}: {message.format(np.argmin(finite))}")
 
 
-def _check_float32(mesh: Mesh, kind: str) -> None:
+def check_float32(mesh: Mesh, kind: str) -> None:
     """Refuse a mesh that rounding to float32 would visibly deform."""
     if not len(mesh.faces):
         return

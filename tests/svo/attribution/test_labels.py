@@ -8,6 +8,7 @@ import meshes
 import numpy as np
 import oracles
 import pytest
+from helpers_attributes import label_array
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -35,26 +36,6 @@ def lattice_mesh(solids: list) -> tuple[voxtool.Mesh, Parts]:
         count += len(points[-1])
     mesh = voxtool.mesh_from_arrays(np.concatenate(points), np.concatenate(faces))
     return mesh, Parts(np.array(labels, np.int32), tuple(f"p{i}" for i in range(len(solids))))
-
-
-def label_array(octree: Octree) -> np.ndarray:
-    """The label of each voxel, (nx, ny, nz); -1 where none is set."""
-    found = np.full([-(-n // 4) * 4 for n in octree.grid.shape], -1)
-    values = octree.values("label")
-    leaves = iter(values.attribute.leaves.tolist())
-    for level in octree.levels():
-        if level.number:
-            side = level.side
-            for x, y, z in level.cells[level.inside]:
-                found[x : x + side, y : y + side, z : z + side] = next(leaves)
-        else:
-            each = values.of_bricks(slice(None))
-            at = 4 * morton_decode(level.codes)[:, None] + morton_decode(np.arange(64))
-            bits = octree.bricks[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1) == 1
-            found[tuple(at[bits].T)] = each[bits]
-    assert next(leaves, None) is None
-    nx, ny, nz = octree.grid.shape
-    return found[:nx, :ny, :nz]
 
 
 def each_alone(job: PartLabelsJob, device: object, **request: object) -> list[np.ndarray]:

@@ -3,9 +3,10 @@
 The quadrilaterals are the faces between voxels of different labels. Their corners are the cells of
 eight voxels that do not all have one label, and each cell has one vertex: the corner itself, or a
 vertex of surface nets, which moves as in dual.py, by the same constants. Where three labels or more
-meet, an edge of the net has three or four quadrilaterals: a junction. A vertex of two junctions or
-more moves along these alone. Otherwise the border between two labels would pull a groove into the
-surface around both.
+meet, an edge of the net has three or four quadrilaterals: a junction, which passes the side of a
+cell. A vertex of two junctions or more begins at the mean of the middles of these sides instead of
+that of the crossings, and moves along the junctions alone. Otherwise the border between two labels
+would pull a groove into the surface around both.
 
 All of it is integer arithmetic.
 """
@@ -39,7 +40,7 @@ def _quad_signs() -> np.ndarray:
 class _Tables(NamedTuple):
     """For each set of edges of a cell that are crossed, one bit each."""
 
-    means: np.ndarray  # (4096, 3) int32: the mean of the crossings, from the cell's low corner
+    means: np.ndarray  # (4096, 3) int32: where its vertex begins, from the cell's low corner
     ways: np.ndarray  # (4096, WAYS) bool: the neighbours towards which its vertex moves
 
 
@@ -48,11 +49,16 @@ def _tables() -> _Tables:
     crossed = (np.arange(1 << SLOTS)[:, None] >> np.arange(SLOTS) & 1).astype(np.int64)
     count = np.maximum(crossed.sum(axis=1), 1)[:, None]
     sums = crossed @ ((signs + 1) * (LATTICE // 2))
-    means = np.clip((2 * sums + count) // (2 * count), NEAREST, LATTICE - NEAREST)
     faces = [signs[:, way // 2] == (1 if way % 2 else -1) for way in range(WAYS)]
     around = np.stack([crossed[:, face].sum(axis=1) for face in faces], axis=1)
     junctions = around > 2
-    several = junctions.sum(axis=1)[:, None] > 1
+    passed = junctions.sum(axis=1)[:, None]
+    several = passed > 1
+    middles = np.full((WAYS, 3), LATTICE // 2)
+    middles[np.arange(WAYS), np.arange(WAYS) // 2] = np.arange(WAYS) % 2 * LATTICE
+    sums = np.where(several, junctions.astype(np.int64) @ middles, sums)
+    count = np.where(several, passed, count)
+    means = np.clip((2 * sums + count) // (2 * count), NEAREST, LATTICE - NEAREST)
     return _Tables(means.astype(np.int32), np.where(several, junctions, around > 0))
 
 

@@ -35,7 +35,7 @@ UNSET = -1  # on the side of a triangle where no label is
 BRICK_FACES = 24  # predicted, of a brick with set voxels: a layer, and half of another one
 BRICK_BYTES = 64  # of memory for a brick beside its labels
 FACE_BYTES = 320  # for a face, when its corners are numbered
-PART_BYTES = 3000 * AT_ONCE  # for the bricks that are looked at together
+PART_BYTES = 3000  # for each brick of those that are looked at together
 MAX_FACES = 1 << 29  # so that 32 bits number their corners
 
 
@@ -177,7 +177,8 @@ class LabelledPlan:
         """The predicted bytes on the host, the surface included."""
         label = np.min_scalar_type(self.labels).itemsize
         values = (BRICK_SIDE**3 * label + BRICK_BYTES) * self.bricks
-        return Cost(device=0, host=values + FACE_BYTES * self.faces + PART_BYTES)
+        parts = PART_BYTES * min(self.bricks, AT_ONCE)
+        return Cost(device=0, host=values + FACE_BYTES * self.faces + parts)
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""

@@ -1,0 +1,72 @@
+"""voxtool extract --by label: one mesh for each label of an octree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from voxtool.choices import VOXEL_LEVEL
+from voxtool.cli import runner
+from voxtool.errors import CheckError, VoxtoolError, printable
+
+SHOWN = 10  # labels that the report lists
+
+
+def extract_labels(
+    run: runner.Run, octree: str, by: str, style: str, check: bool, request: dict[str, Any]
+) -> None:
+    """Extract and write a mesh for each label; refuse options of single surfaces, which `request`
+    has by name.
+
+    Raises
+    ------
+    CheckError : a mesh is not closed.
+    """
+    from voxtool.adf.field import DistanceField
+    from voxtool.files import check_holds_parts, read_shape, write_mesh
+    from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
+
+    usual = {"isovalue": 0.5, "level": VOXEL_LEVEL if request["level"] == VOXEL_LEVEL else None}
+    for name, value in request.items():
+        if value not in (usual.get(name), False):
+            raise click.UsageError(f"--{name} is of a single surface: drop it, or --by {by}")
+    check_holds_parts(str(run.file_format))
+    run.on_device = False
+    facts: dict[str, Any] = {}
+    with run:
+        shape: Any = run.stage("read file", read_shape, octree)
+        with run.naming(octree):
+            if isinstance(shape, DistanceField):
+                raise VoxtoolError("a field has no labels: --by is of octrees")
+            job = run.plan(plan_labelled, shape, by=by, style=style)
+            surface: LabelledSurface = run.job(
+                job, ["check"] * check, empty=lambda surface: not len(surface.faces)
+            )
+        labels = run.stage("check", surface.facts, True) if check else surface.facts()
+        run.write(write_mesh, surface)
+        if run.as_json or check:
+            facts = {
+                "dim": surface.grid.dim,
+                "style": surface.style,
+                "by": by,
+                "vertices": len(surface.points),
+                "triangles": len(surface.faces),
+                "labels": labels,
+                "digest": surface.digest(),
+            }
+    run.report(
+        f"{surface.text}; {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles",
+        lambda: facts,
+        _details(labels),
+        json_too=check,
+    )
+    if check and (bad := [one["name"] for one in labels if not one["closed"]]):
+        raise CheckError(f"{run.output}: the mesh of {bad[0]} is not closed: report this file")
+
+
+def _details(labels: list[dict[str, Any]]) -> list[str]:
+    """Return the triangles of the first labels, for people."""
+    shown = [f"{printable(one['name'])}: {one['triangles']:,} triangles" for one in labels[:SHOWN]]
+    more = len(labels) - len(shown)
+    return [*shown, *([f"and {more:,} others: see --json"] if more else [])]
