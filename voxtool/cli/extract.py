@@ -91,7 +91,7 @@ def command(
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
       voxtool extract bunny.svo.h5 --style sharp --source bunny.obj -o sharp.ply
       voxtool extract bunny.svo.h5 --naive -v
-      voxtool extract parts.svo.h5 --by label --check -o parts.glb
+      voxtool voxelize parts.glb --labels part -o - | voxtool extract - --by label -o labels.glb
       voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
     """
     style = request["style"] = request["style"] or (LABEL_STYLES[0] if by else MARCHING_CUBES)
@@ -115,6 +115,7 @@ def command(
         from voxtool.cli.extract_labels import extract_labels
 
         request |= {"source": source, "against": against, "naive": naive, "normals": normals}
+        request |= {"units": units, "scale": scale}
         del request["style"]
         extract_labels(run, octree, by, style, check, request)
         return

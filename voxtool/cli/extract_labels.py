@@ -27,9 +27,9 @@ def extract_labels(
     from voxtool.files import check_holds_parts, read_shape, write_mesh
     from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 
-    usual = {"isovalue": 0.5, "level": VOXEL_LEVEL if request["level"] == VOXEL_LEVEL else None}
+    usual = {"isovalue": 0.5, "level": VOXEL_LEVEL, "scale": 1}
     for name, value in request.items():
-        if value not in (usual.get(name), False):
+        if value is not None and value is not False and value != usual.get(name):
             raise click.UsageError(f"--{name} is of a single surface: drop it, or --by {by}")
     check_holds_parts(str(run.file_format))
     run.on_device = False

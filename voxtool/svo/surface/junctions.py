@@ -4,9 +4,9 @@ The quadrilaterals are the faces between voxels of different labels. Their corne
 eight voxels that do not all have one label, and each cell has one vertex: the corner itself, or a
 vertex of surface nets, which moves as in dual.py, by the same constants. Where three labels or more
 meet, an edge of the net has three or four quadrilaterals: a junction, which passes the side of a
-cell. A vertex of two junctions or more begins at the mean of the middles of these sides instead of
-that of the crossings, and moves along the junctions alone. Otherwise the border between two labels
-would pull a groove into the surface around both.
+cell. A vertex of two junctions or more begins at the mean of the middles of these sides, not of the
+crossings, and moves along the junctions alone. Otherwise the border between two labels would pull a
+groove into the surface around both.
 
 All of it is integer arithmetic.
 """

@@ -1,0 +1,98 @@
+"""voxtool extract --by label: files, reports, refusals."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_attributes import labelled
+from helpers_cli import fail, run
+from helpers_octree import ball
+
+import voxtool
+from voxtool.svo.surface.labelled import LabelledSurface
+
+HALVES = np.where(ball((17, 16, 15)), np.arange(15) // 8, -1)
+NAMES = ("low", "über b")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    voxtool.write_svo(labelled(HALVES, NAMES), "two.svo.h5")
+    return tmp_path
+
+
+def expected(style: str) -> LabelledSurface:
+    return voxtool.extract("two.svo.h5", by="label", style=style)
+
+
+def test_formats(folder: Path) -> None:
+    """OBJ has an object a label and one list of vertices, GLB a node a label."""
+    run("extract two.svo.h5 --by label")
+    assert [p.name for p in folder.iterdir() if p.suffix == ".obj"] == ["two.surface-nets.obj"]
+    surface = expected("surface-nets")
+    lines = Path("two.surface-nets.obj").read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if line[0] == "o"] == [f"o {name}" for name in NAMES]
+    assert sum(line[0] == "v" for line in lines) == len(surface.points)
+    read = voxtool.load_mesh("two.surface-nets.obj")
+    assert np.array_equal(read.faces, np.concatenate([surface.faces_of(n) for n in (0, 1)]))
+    assert np.allclose(read.vertices, surface.vertices, rtol=0, atol=1e-12)
+    run("extract two.svo.h5 --by label --style voxel-faces -o two.glb")
+    read = voxtool.load_mesh("two.glb", keep=("parts",))
+    assert read.parts["part"].names == NAMES
+    assert np.array_equal(
+        read.parts["part"].labels, np.repeat([0, 1], expected("blocks").triangles)
+    )
+
+
+def test_report(folder: Path) -> None:
+    found = json.loads(run("extract two.svo.h5 --by label --check --json -o a.obj").stdout)
+    surface = expected("nets")
+    assert found["labels"] == surface.facts(check=True)
+    assert [one["name"] for one in found["labels"]] == list(NAMES)
+    assert all(one["closed"] for one in found["labels"])
+    assert found["digest"] == surface.digest()
+    assert found["triangles"] == len(surface.faces)
+    text = run("extract two.svo.h5 --by label -o a.obj").stderr
+    assert f"  low: {surface.triangles[0]:,} triangles\n" in text
+
+
+def test_plan(folder: Path) -> None:
+    plan = json.loads(run("extract two.svo.h5 --by label --plan --json").stdout)
+    assert plan["labels"] == 2
+    assert plan["stages"] == ["labels", "borders", "vertices", "relax", "triangles"]
+    faces = json.loads(
+        run("extract two.svo.h5 --by label --style voxel-faces --plan --json").stdout
+    )
+    assert faces["stages"] == ["labels", "borders", "vertices", "triangles"]
+    assert len(list(folder.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        ("--style sharp", 3, "choose one of surface-nets, voxel-faces"),
+        ("--style marching-cubes", 3, "choose one of surface-nets, voxel-faces"),
+        ("-o a.ply", 3, ".ply holds one mesh without a name: write .obj or .glb"),
+        ("--merge", 2, "--merge is of a single surface: drop it, or --by label"),
+        ("--level 0", 2, "--level is of a single surface"),
+        ("--isovalue 0.4", 2, "--isovalue is of a single surface"),
+        ("--against b.obj", 2, "--against is of a single surface"),
+        ("--normals", 2, "--normals is of a single surface"),
+        ("--scale 2", 2, "--scale is of a single surface"),
+        ("--offset 0", 2, "--offset is of a single surface"),
+        ("--max-memory 1000", 4, "would need"),
+    ],
+)
+def test_refusals(folder: Path, options: str, code: int, message: str) -> None:
+    assert message in fail(f"extract two.svo.h5 --by label {options}", code)
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_other_inputs_are_refused(folder: Path) -> None:
+    voxtool.write_svo(voxtool.Octree.from_dense(HALVES >= 0), "plain.svo.h5")
+    message = fail("extract plain.svo.h5 --by label", 3)
+    assert "plain.svo.h5: the octree has no labels: voxelize with --labels part" in message
