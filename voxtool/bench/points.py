@@ -35,7 +35,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "pictures": {"outline": "of the pixels"},
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
     "view": {"unpacked": "of the values"},
-    "exchange": {"returned": "of the voxels"},
+    "exchange": {"returned": "of the voxels", "uncrossed": "of the links"},
     "combine": {"wrong": "of the grid's voxels"},
     "morph": {"wrong": "of the grid's voxels"},
     "scale": {"different": "of the octrees"},
