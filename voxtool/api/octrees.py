@@ -17,6 +17,7 @@ from voxtool.choices import (
     FRACTION,
     FRACTION_TYPES,
     LABEL_STYLES,
+    NAMED,
     NORMALIZED,
     OPERATIONS,
     PRIORITIES,
@@ -177,7 +178,8 @@ def plan_voxelize(
     >>> octree = voxtool.voxelize("bunny.obj", dim=128)
     >>> octree.count, octree.digest()
     """
-    found = as_mesh(mesh, max_memory, ("appearance",) if "colour" in attributes else ())
+    keep = ("appearance",) * ("colour" in attributes) + ("parts",) * (labels in NAMED)
+    found = as_mesh(mesh, max_memory, keep)
     placed = grid_of(found, grid, dim, pitch)
     if mode == FRACTION:
         if with_surface or gap or labels is not None or attributes:

@@ -310,3 +310,11 @@ def test_areas_are_those_of_float64(device) -> None:
             exact = clipped_area(corners[face].tolist(), tuple(low[voxel].tolist()))
             assert abs(exact - area) < ROUNDING, (reach, exact, area)
         assert len(pairs) == found.n > 50
+
+
+def test_a_path_is_read_with_its_parts(tmp_path) -> None:
+    path = tmp_path / "two.obj"
+    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in ((1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4)))
+    path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\ng tip\n{faces}")
+    octree = voxtool.voxelize(path, dim=16, labels="part")
+    assert octree.attribute("label").names == ("tip",)
