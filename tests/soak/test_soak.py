@@ -164,7 +164,7 @@ def test_killed_windows_go_on_to_the_same_octree(rounds, models: Path, tmp_path:
         options: voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 1000), fill=fill).digest()
         for options, fill in {
             "--max-memory 1M": "auto",
-            "--max-memory 1M --dag": "auto",
+            "--max-memory 3M --dag": "auto",
             "--max-memory 12M --fill flood": "flood",
         }.items()
     }

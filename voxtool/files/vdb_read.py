@@ -150,7 +150,8 @@ def _own_grid(
     except (KeyError, struct.error):
         return None
     pitch = np.diag(matrix)
-    center = origin + pitch / 2
+    with np.errstate(all="ignore"):  # numbers that are not finite agree with nothing
+        center = origin + pitch / 2
     if not (matrix == np.diag(pitch)).all() or not (center == translation).all():
         return None
     if min(low) < 0 or min(shape) < 1 or max(shape) > MAX_DIM:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from voxtool.errors import DeviceError, FileError
+from voxtool.errors import DeviceError, FileError, printable
 from voxtool.limits import processors
 from voxtool.opencl import THREADS
 
@@ -57,9 +57,9 @@ def connected(address: str, workers: int | None = None) -> Iterator[Client]:
     if address != LOCAL:
         try:
             client = Client(address, timeout=PATIENCE)
-        except (OSError, ValueError, OverflowError) as error:
+        except (OSError, ValueError, OverflowError, AssertionError) as error:
             raise DeviceError(
-                f"no scheduler of Dask at {address}: start one, or use --dask {LOCAL}"
+                f"no scheduler of Dask at {printable(address)}: start one, or use --dask {LOCAL}"
             ) from error
         with silence_logging_cmgr(logging.CRITICAL), client:  # what was lost is sent again
             yield client
