@@ -65,7 +65,7 @@ from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.svo.attribution.colours import plan_attributes
-from voxtool.svo.attribution.fraction import plan_fractions, stored_volume
+from voxtool.svo.attribution.fraction import plan_fractions
 from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.booleans import combine
 from voxtool.svo.fill.caps import find_boundary
@@ -74,6 +74,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.query import OctreeQuery
 from voxtool.svo.raycast import cast, cast_attribute, depths
 from voxtool.svo.resample import plan_resample
+from voxtool.svo.stored_volume import stored_volume
 from voxtool.svo.surface.extract import plan_extract, plan_unread
 from voxtool.svo.surface.isosurface import LATTICE
 from voxtool.svo.voxelize import plan_voxelize

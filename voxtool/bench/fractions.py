@@ -11,8 +11,9 @@ from voxtool.bench.timing import by_turns
 from voxtool.choices import FRACTION_TYPES
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.svo.attribution.fraction import FractionJob, plan_fractions, stored_volume
+from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
 from voxtool.svo.layout import BRICK_VOXELS
+from voxtool.svo.stored_volume import stored_volume
 from voxtool.svo.voxelize import plan_voxelize
 
 if TYPE_CHECKING:

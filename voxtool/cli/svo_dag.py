@@ -39,6 +39,7 @@ def command(run: runner.Run, file: str, expand: bool) -> None:
       voxtool voxelize bunny.obj --dag -o - | voxtool svo-dag - --expand -o bunny.svo.xml
     """
     from voxtool.files import SVO_FORMATS, open_svo, read_svo, write_svo
+    from voxtool.svo.attribution.carry import lost
     from voxtool.svo.merged import MergedOctree
 
     extension = "expanded.svo.h5" if expand else "dag.svo.h5"
@@ -50,7 +51,8 @@ def command(run: runner.Run, file: str, expand: bool) -> None:
         else:
             octree = run.stage("read octree", stack.enter_context, open_svo(file))
             if not isinstance(octree, MergedOctree):
-                octree = run.stage("merge subtrees", MergedOctree.of, octree)
+                whole, octree = octree, run.stage("merge subtrees", MergedOctree.of, octree)
+                run.notes += lost([whole])
         run.write(write_svo, octree)
     run.report(report_line(octree), lambda: facts_of(octree))
 

@@ -286,7 +286,8 @@ def attributes_of(octree: Any) -> dict[str, Any]:
 
 def volumes_of(octree: Any) -> dict[str, float]:
     """Return the volume of an octree with fractions and that of its mesh, in cubic world units."""
-    from voxtool.svo.attribution.fraction import MESH_VOLUME, stored_volume
+    from voxtool.svo.attribution.fraction import MESH_VOLUME
+    from voxtool.svo.stored_volume import stored_volume
 
     if MESH_VOLUME not in octree.plan:
         return {}

@@ -13,7 +13,7 @@ Kernels: kernels/svo/booleans.cl.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -27,7 +27,7 @@ from voxtool.job import Cost, Job, one_call
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import SCAN, exclusive_scan
-from voxtool.svo.attribution.carry import carried
+from voxtool.svo.attribution.carry import carried, lost
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import (
     BRICK,
@@ -219,6 +219,10 @@ class CombineJob(Job[Octree]):
             return octree
         with self.stage("attributes"):
             return carried(octree, self.octrees[:n], list(self.lows[:n]), self.device)
+
+    def notes(self, result: Octree) -> Iterator[str]:
+        """Yield which attributes are not kept."""
+        return lost(self.octrees, result.attributes)
 
     def upload(self) -> Operands:
         """Return the operands on the device, in the grid of the result."""

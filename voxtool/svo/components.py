@@ -19,7 +19,7 @@ from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Job
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.svo.attribution.carry import with_attributes
+from voxtool.svo.attribution.carry import lost, with_attributes
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.svo.tiling import BRICK_CELLS, BRICKS, LEVEL, TILE, Tiling
@@ -355,11 +355,12 @@ class ComponentsJob(Job[Octree]):
             )
 
     def notes(self, result: Octree) -> Iterator[str]:
-        """Yield the sizes of the components."""
+        """Yield the sizes of the components, and which attributes are not kept."""
         if len(self.sizes):
             sizes = ", ".join(f"{size:,}" for size in self.sizes[:SHOWN].tolist())
             more = ", ..." if len(self.sizes) > SHOWN else ""
             yield f"{count_of(len(self.sizes), 'component')}, of {sizes}{more} voxels"
+        yield from lost([self.octree], result.attributes)
 
 
 def plan_keep_components(

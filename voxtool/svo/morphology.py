@@ -28,7 +28,7 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.morton import among, spread_bits
 from voxtool.opencl import Array, Device, default_device, program
-from voxtool.svo.attribution.carry import with_attributes
+from voxtool.svo.attribution.carry import lost, with_attributes
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK, BRICK_BYTES
 from voxtool.svo.octree import Octree
@@ -340,6 +340,10 @@ class MorphJob(Job[Octree]):
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield why the result is empty."""
         return why_empty(self.plan, self.octree.count, result.count)
+
+    def notes(self, result: Octree) -> Iterator[str]:
+        """Yield which attributes are not kept."""
+        return lost([self.octree], result.attributes)
 
 
 def why_empty(plan: MorphPlan, before: int, after: int) -> Iterator[str]:

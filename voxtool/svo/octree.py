@@ -271,8 +271,12 @@ class Octree(PointQueries, OctreeContent, Data):
 
     def summary(self) -> dict[str, Any]:
         """Return counts and sizes in JSON types, in world units; of labels also the voxels and the
-        volume of each. See OctreeContent."""
+        volume of each; of fractions the volume is their sum. See OctreeContent."""
         info = super().summary()
+        if "fraction" in info["attributes"]:
+            from voxtool.svo.stored_volume import stored_volume  # which imports this module
+
+            info["volume"] = stored_volume(self) * self.grid.voxel_volume
         if "label" in info["attributes"]:
             from voxtool.svo.label_counts import label_counts  # which imports this module
 

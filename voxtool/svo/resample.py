@@ -26,6 +26,7 @@ from voxtool.job import Cost, Job
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device, default_device, program
+from voxtool.svo.attribution.carry import lost
 from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, descend, voxels_within
 from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.octree import Octree
@@ -343,3 +344,7 @@ class ResampleJob(Job[Octree]):
                 f"no voxel is set: none has a share of {self.plan.threshold:g} that is: choose a "
                 "smaller pitch or threshold, or a grid that holds the voxels"
             )
+
+    def notes(self, result: Octree) -> Iterator[str]:
+        """Yield which attributes are not kept."""
+        return lost([self.octree], result.attributes)

@@ -23,6 +23,7 @@ import numpy as np
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.morton import distinct, morton_decode, morton_encode, morton_step
+from voxtool.svo.attribution.carry import lost
 from voxtool.svo.components import BRICK_HOST_BYTES, FEWER, Components
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
@@ -222,10 +223,11 @@ class ThinJob(Job[Octree]):
             yield OPEN.format(count=count, gone=count - result.count)
 
     def notes(self, result: Octree) -> Iterator[str]:
-        """Yield how many voxels went."""
+        """Yield how many voxels went, and which attributes."""
         if count := self.octree.count:
             gone = count - result.count
             yield f"{gone:,} of {count:,} voxels ({100 * gone / count:.1f} %) separated nothing"
+        yield from lost([self.octree], result.attributes)
 
 
 def plan_thin(octree: Octree, *, max_memory: int | None = None) -> ThinJob:

@@ -21,6 +21,7 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.memory import available_memory
 from voxtool.opencl import Device
+from voxtool.svo.attribution.carry import lost
 from voxtool.svo.cells import Cells, cube
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.links import EMPTY, FULL, REFINED
@@ -182,6 +183,10 @@ class OperationJob(Job[BlockOctree]):
         count = max(operand.cells(side).refined for operand in self.operands)
         disk = sum(operand.octree.nbytes for operand in self.operands)
         return OperationPlan(self.whole, cost, side, count, disk)
+
+    def notes(self, result: BlockOctree) -> Iterator[str]:
+        """Yield which attributes are not kept."""
+        return lost([operand.octree for operand in self.operands])
 
     def sizes(self, operand: Operand, side: int) -> np.ndarray:
         """Return the predicted refined nodes of an operand in a cube of `side` voxels, by level

@@ -7,12 +7,19 @@ from dataclasses import replace
 import meshes
 import numpy as np
 import pytest
+from helpers_attributes import attributed, scattered, sizes
+from helpers_cli import run, told
 
 import voxtool
+from voxtool.files import write_svo
 from voxtool.morton import morton_decode
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.labels import plan_labels
+from voxtool.svo.booleans import plan_combine
 from voxtool.svo.octree import Octree
+from voxtool.svo.stored_volume import stored_volume
+from voxtool.svo.thin import plan_thin
+from voxtool.tiles.combining import CombineWindowsJob
 
 
 def labelled(device, low: int, names: tuple[str, str], origin=(0.0, 0.0, 0.0)) -> Octree:
@@ -127,3 +134,45 @@ def test_components_and_cavities_keep_labels(device) -> None:
     assert (dense(filled, "label")[filled.to_dense()] > 0).all()
     kept = voxtool.keep_components(octree, largest=1)
     assert (dense(kept, "label") == dense(octree, "label")).all()
+
+
+def test_a_note_names_what_is_not_kept(here, device) -> None:
+    """Of combinations, morphology, components, resampling, thinning and merging; none if all is."""
+    one = attributed()
+    write_svo(one, "a.svo.h5")
+    write_svo(replace(one, attributes=one.attributes[:3]), "b.svo.h5")
+    fraction = 'not kept: the attribute fraction (docs/attributes.md, "Changed octrees")'
+    lines = ("combine a.svo.h5 a.svo.h5", "morph a.svo.h5 --dilate 1", "morph a.svo.h5 --keep 1")
+    for line in lines:
+        assert f"voxtool: {fraction}\n" in run(f"{line} -o c.svo.h5").stderr, line
+        other = run(f"{line.replace('a.svo', 'b.svo')} -o c.svo.h5")
+        assert "not kept" not in other.stderr, line
+    every = fraction.replace("attribute ", "attributes label and colour and normal and ")
+    for line in ("morph a.svo.h5 --resample --dim 20", "svo-dag a.svo.h5"):
+        assert f"voxtool: {every}\n" in run(f"{line} -o c.svo.h5").stderr, line
+        assert every in told(f"{line} -o c.svo.h5 --json")["notes"], line
+    assert list(plan_thin(replace(one, mode="surface26")).notes(one)) != []
+    whole = plan_combine([one], device=device)
+    windows = CombineWindowsJob(whole, [one])
+    assert list(windows.notes(None)) == [every]
+
+
+def test_the_volume_of_fractions_is_their_sum(here, device) -> None:
+    """svo-info states it, as voxelize does; leaves and defaults of any value count."""
+    mesh = meshes.mesh_of(*meshes.icosphere(3, 16.0, 11.3))
+    octree = voxtool.voxelize(mesh, dim=40, mode="fraction", device=device)
+    write_svo(octree, "a.svo.h5")
+    found = told("svo-info a.svo.h5 --json")
+    assert found["volume"] == stored_volume(octree) * octree.grid.voxel_volume
+    assert f"\nvolume       {found['volume']:.9g}\n" in run("svo-info a.svo.h5").stdout
+    assert found["volume"] == pytest.approx(4 / 3 * np.pi * 11.3**3, rel=0.02)
+    made, rng = scattered(), np.random.default_rng(4)
+    voxels, leaves = sizes(made)
+    masks = made.bricks & rng.integers(0, 1 << 63, len(made.bricks), dtype=np.uint64)
+    own = rng.integers(0, 256, int(np.bitwise_count(masks).sum())).astype(np.uint8)
+    above = rng.integers(0, 256, leaves).astype(np.uint8)
+    fraction = Attribute("fraction", own, above, masks, 7)
+    sides = [level.side**3 for level in made.levels() for _ in range(int(level.inside.sum()))]
+    assert sides[0] > 1
+    total = int(own.sum()) + 7 * (voxels - len(own)) + int((above * np.array(sides)).sum())
+    assert stored_volume(replace(made, attributes=(fraction,))) == total / 255

@@ -16,13 +16,12 @@ from voxtool.errors import MeshError, VoxtoolError
 from voxtool.selftest.oracles import filled
 from voxtool.svo.attribution.fraction import (
     MESH_VOLUME,
-    WHOLE,
     plan_fractions,
-    stored_volume,
     volume_in_units,
 )
 from voxtool.svo.layout import BRICK_VOXELS
 from voxtool.svo.octree import Octree
+from voxtool.svo.stored_volume import WHOLE, stored_volume
 
 SHAPE = (8, 3, 4)
 # float32 rounds a number below 1 by 2**-25 at most, after whole numbers of 2**-31.

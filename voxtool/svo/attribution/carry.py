@@ -8,7 +8,7 @@ a voxel that is cut twice is not the sum of its cuts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +19,12 @@ from voxtool.svo.attribute_levels import CellValues
 from voxtool.svo.attribute_points import values_of_voxels
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.paint import NONE, Nodes, Union, unite
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.octree import Level, Octree
 from voxtool.svo.query import OctreeQuery
 
 CARRIED = ("label", "colour", "normal")
+KEPT = 'docs/attributes.md, "Changed octrees"'  # says which are
 BRICKS = 1 << 14  # bricks whose voxels are looked up at once
 CHILDREN = np.arange(8, dtype=np.uint64)
 EMPTY, MIXED = -1, -2  # in place of a leaf's place
@@ -125,6 +127,16 @@ def with_attributes(
         return carried(result, [octree], [low], device)
 
 
+def lost(octrees: Sequence[OctreeContent], kept: Sequence[Attribute] = ()) -> Iterator[str]:
+    """Yield a note that names the attributes of octrees that what is made of them does not keep, if
+    there are any."""
+    names = dict.fromkeys(one.name for octree in octrees for one in octree.attributes)
+    for one in kept:
+        names.pop(one.name, None)
+    if names:
+        yield f"not kept: the attribute{'s' * (len(names) > 1)} {' and '.join(names)} ({KEPT})"
+
+
 def _has(octree: Octree, name: str) -> bool:
     return name in (attribute.name for attribute in octree.attributes)
 
@@ -208,4 +220,5 @@ def _attribute(
         codes = level_0[part[row]] << np.uint64(6) | bit.astype(np.uint64)
         parts.append(of(morton_decode(codes).astype(np.int64)))
     leaves = of(corners[union.leaves])
-    return Attribute(name, np.concatenate(parts), leaves, names=names)
+    default = given[0].default
+    return Attribute(name, np.concatenate(parts), leaves, default=default, names=names)

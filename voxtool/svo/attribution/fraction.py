@@ -41,11 +41,11 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.scan import COVERED, TOUCHED, ActiveNodes, Scan, add_nodes
 from voxtool.svo.scan import SOURCE as SCAN
+from voxtool.svo.stored_volume import WHOLE
 from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
 
 SOURCE = "svo/attribution/fraction.cl"
 UNIT_BITS = 40  # areas and volumes are whole numbers of 2**-40 of a face and of a voxel
-WHOLE = 1 << 31  # shares are whole numbers of 1 / WHOLE
 CLOSED = 1 << 16  # units by which areas of a closed mesh, which are rounded, may miss whole faces
 PARITY, NONZERO, WINDING = range(3)
 RULES = {"parity": PARITY, "nonzero": NONZERO, "winding": WINDING}
@@ -84,17 +84,6 @@ def plan_fractions(
     solid.device.require_float64("fractions")
     caps = (solid.plan.holes, solid.plan.caps)
     return FractionJob(solid.capped(), FractionPlan(solid.plan, kind, caps))
-
-
-def stored_volume(octree: Octree) -> float:
-    """Return the sum of the fractions of an octree, in voxels: the exact number, rounded once."""
-    fraction = octree.attribute("fraction")
-    values, whole = fraction.values, octree.count - len(fraction.values)
-    if values.dtype.kind == "f":  # whole numbers of 1 / WHOLE
-        parts = (values.astype(np.float64) * WHOLE).astype(np.int64)
-        return (whole * WHOLE + int(parts.sum())) / WHOLE
-    most = int(np.iinfo(values.dtype).max)
-    return (whole * most + int(values.sum(dtype=np.int64))) / most
 
 
 def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
