@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,10 @@ from voxtool.viewer.job import plan_view
 GOLDEN = Path(__file__).parent / "golden" / "attributes.json"
 OWN = ("scattered",)
 VIEWS = ("iso 30", "front orthographic")
+COLOURED: list[tuple[str, dict[str, Any]]] = [
+    ("voxel-faces", {}), ("voxel-faces", {"level": 0}), ("surface-nets", {}),
+    ("marching-cubes", {"level": "voxel"}),
+]  # fmt: skip
 
 
 def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
@@ -49,6 +54,10 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
     for style in LABEL_STYLES:
         surface = voxtool.extract(octree, by="label", style=style)
         yield f"{style} by label", surface.digest()
+    of_colour = replace(octree, attributes=(octree.attribute("colour"),))
+    for style, more in COLOURED:
+        surface = voxtool.extract(of_colour, style=style, device=device, **more)
+        yield f"coloured {style} {more}", surface.digest()
     low, high = np.zeros(3), np.array(octree.grid.shape, float)
     for view in VIEWS:
         side, fov = golden_picture.VIEWS[view]

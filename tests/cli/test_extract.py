@@ -11,6 +11,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
+from helpers_attributes import attributed
 from helpers_cli import fail, invoke, run, told, write_obj
 from helpers_octree import ball, octree_from_dense
 
@@ -137,6 +138,23 @@ def test_normals_that_a_format_does_not_hold(name: str, here: Path) -> None:
 # ---- streams
 
 
+def test_colours(here: Path) -> None:
+    """They are written where the format holds them; otherwise the report says why not."""
+    write_svo(attributed(), "a.svo.h5")
+    result = run("extract a.svo.h5 --style voxel-faces --json -o a.glb")
+    assert json.loads(result.stdout)["coloured"]
+    look = load_mesh("a.glb", keep=("appearance",))
+    assert len(look.vertices) > json.loads(result.stdout)["vertices"]
+    assert look.colours is not None
+    plan = json.loads(run("extract a.svo.h5 --style voxel-faces --plan --json -o a.ply").stdout)
+    assert plan["stages"][-1] == "colours"
+    plain = run("extract a.svo.h5 --style voxel-faces -o a.stl").stderr
+    assert "voxtool: colours are left out: .stl holds none: write .obj, .ply, .glb\n" in plain
+    merged = run("extract a.svo.h5 --style voxel-faces --merge -o b.glb").stderr
+    assert "voxtool: colours are left out: squares of several colours are merged" in merged
+    assert load_mesh("b.glb", keep=("appearance",)).colours is None
+
+
 def test_stdin_and_stdout(here: Path) -> None:
     octree = Path("bunny.svo.h5").read_bytes()
     for more, name in (("", "a.obj"), ("--format stl", "a.stl")):
@@ -174,6 +192,7 @@ def test_json(here: Path) -> None:
         "voxels": octree.count,
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
+        "coloured": False,
         "digest": surface.digest(),
         "warnings": [],
     }

@@ -82,8 +82,9 @@ def command(
     that matter.
 
     OCTREE is a file that voxelize or adf-build wrote, or - for stdin. The mesh is in world units,
-    where the voxels or the field lie; write it as .obj, .ply, .stl, .glb or .off. Distances of
-    --against are in world units and in voxels, or edges of the field's deepest leaves.
+    where the voxels or the field lie; write it as .obj, .ply, .stl, .glb or .off. An octree with
+    colours gives a mesh with colours of vertices in .ply, .glb and .obj. Distances of --against are
+    in world units and in voxels, or edges of the field's deepest leaves.
 
     \b
     Examples:
@@ -91,6 +92,7 @@ def command(
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
       voxtool extract bunny.svo.h5 --style sharp --source bunny.obj -o sharp.ply
       voxtool extract bunny.svo.h5 --naive -v
+      voxtool voxelize parts.glb --attributes colour -o - | voxtool extract - -o coloured.glb
       voxtool voxelize parts.glb --labels part -o - | voxtool extract - --by label -o labels.glb
       voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
     """
@@ -107,6 +109,7 @@ def command(
     from voxtool.svo.content import OctreeContent
     from voxtool.svo.merged import in_memory
     from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.isosurface import Isosurface
 
     # named after its style: bunny.obj is the mesh that the octree was made from
     kind = "surface" if octree.endswith(".adf.h5") else style
@@ -167,7 +170,8 @@ def command(
         if parts:
             run.write(write_blocks, surface)
         else:
-            run.write(write_mesh, surface.mesh(), normals=surface.normals if normals else None)
+            found = surface if isinstance(surface, Isosurface) else surface.mesh()
+            run.write(write_mesh, found, normals=surface.normals if normals else None)
         facts = facts_of(shape, surface) if run.as_json or more else {}
     run.report(
         f"{surface.text}; {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles",
@@ -197,6 +201,7 @@ def planned(
     """Return the job for an octree or a field; refuse options of the other."""
     from voxtool.adf.field import DistanceField
     from voxtool.adf.surface.extract import plan_field_surface
+    from voxtool.files.formats import COLOUR_FORMATS
     from voxtool.svo.surface.extract import plan_extract
     from voxtool.svo.surface.sharp import source_of
 
@@ -218,6 +223,10 @@ def planned(
     if "source" in request:
         request["source"] = source_of(source, request["source"])
     job = run.plan(plan_extract, source, **request)
+    if job.plan.colours and run.file_format not in COLOUR_FORMATS:
+        held = ", ".join(f".{name}" for name in COLOUR_FORMATS)
+        run.notes.append(f"colours are left out: .{run.file_format} holds none: write {held}")
+        job = job.with_(colours=False)
     return job.with_(naive=True) if naive else job
 
 
@@ -282,6 +291,7 @@ def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, A
         "voxels": source.count,
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
+        "coloured": getattr(surface, "colours", None) is not None,
         **(
             {}
             if features is None

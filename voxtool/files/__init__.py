@@ -17,6 +17,7 @@ from voxtool.files import formats, streams
 from voxtool.files.atomic import atomic_path, check_target
 from voxtool.files.formats import (
     ADF_FORMATS,
+    COLOUR_FORMATS,
     EXPORTS,
     IMPORTS,
     MESH_EXTENSIONS,
@@ -393,7 +394,7 @@ def write_mesh(
     normals: np.ndarray | None = None,
 ) -> None:
     """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off; the
-    meshes of labels as .obj or .glb.
+    meshes of labels as .obj or .glb. Colours of vertices are written to .obj, .ply and .glb.
 
     Parameters
     ----------
@@ -419,6 +420,7 @@ def write_mesh(
         If the text does not fit in memory.
     """
     from voxtool.files.mesh import as_mesh
+    from voxtool.svo.surface.isosurface import Isosurface
     from voxtool.svo.surface.labelled import LabelledSurface
 
     format = format or format_of(path, MESH_FORMATS)
@@ -434,6 +436,9 @@ def write_mesh(
         raise FileError(
             f".{format} holds no vertex normals: write one of {held}, or leave them out"
         )
+    if isinstance(mesh, Isosurface):
+        mesh, origin = mesh.coloured() if format in COLOUR_FORMATS else (mesh.mesh(), ...)
+        normals = None if normals is None else normals[origin]
     _write(as_mesh(mesh), path, clobber, format, MESH_FORMATS, normals=normals)
 
 

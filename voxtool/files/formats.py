@@ -166,6 +166,7 @@ TEXT_FORMATS = (  # fit for a terminal
     "csv",
 )
 NORMAL_FORMATS = ("obj", "ply", "glb")  # those of meshes that hold a normal a vertex
+COLOUR_FORMATS = NORMAL_FORMATS  # and those that hold a colour
 STREAM_FORMATS = ("svo.h5", "adf.h5", "tet.h5", "obj")  # of stdout where no format is named
 
 # Meshes of triangles, by extension or opening. Not all can be read; all are recognised.

@@ -1,12 +1,12 @@
 """Triangle meshes as OBJ, PLY, STL, GLB and OFF, through trimesh.
 
-Nothing is welded, dropped or moved. OBJ and OFF are text: a coordinate that is at least a tenth of
-the largest is read back bit for bit, others within 1e-17 of the largest and 1e-9 of the mesh's
-longest side; normals within 1e-9. PLY, STL and GLB hold float32, 1 part in 1.6e7 of a coordinate; a
-mesh is refused if that moves vertices by more than a thousandth of its longest side. STL repeats
-the corners of every face. The unit of GLB is the metre. The bytes depend
-only on the mesh and the version of trimesh: face normals and unit vectors, which trimesh computes
-through BLAS, are computed here or left out.
+Nothing is welded or moved; materials and textures are not written. OBJ and OFF are text: a
+coordinate that is at least a tenth of the largest is read back bit for bit, others within 1e-17 of
+the largest and 1e-9 of the mesh's longest side; normals within 1e-9. PLY, STL and GLB hold float32,
+1 part in 1.6e7 of a coordinate; a mesh is refused if that moves vertices by more than a thousandth
+of its longest side. STL repeats the corners of every face. The unit of GLB is the metre. The bytes
+depend only on the mesh and the version of trimesh: face normals and unit vectors, which trimesh
+computes through BLAS, are computed here or left out.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ import trimesh
 from trimesh.exchange.stl import export_stl
 
 from voxtool.errors import FileError, MeshError
+from voxtool.files.glb import BYTES, Node, write_nodes
 from voxtool.memory import check_memory
+from voxtool.mesh import srgb
 from voxtool.vector import cross, length
 from voxtool.version import __version__
 
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
 BAD_VERTEX = "vertex {} is not finite: remove it or give it a position"
 HEADER = f"voxtool {__version__}"
 TEXT_MEMORY = 250  # bytes of memory a face or vertex while trimesh formats it, as measured
-GLB_BYTES = (1 << 32) - (1 << 16)  # a GLB counts its bytes in 32 bits
 PLY_HEADER = """ply
 format binary_little_endian 1.0
 comment https://github.com/mikedh/trimesh
@@ -50,19 +51,21 @@ LEAST_CELLS = 1000  # float32 must resolve the longest side divided by this
 def write_obj(
     mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, text_memory: int = TEXT_MEMORY
 ) -> None:
-    """Write OBJ text, with as many decimals as the mesh needs."""
+    """Write OBJ text, with as many decimals as the mesh needs; colours of vertices behind their
+    coordinates, from 0 to 1 in sRGB, without opacity."""
     given = _given(mesh, normals)
     if not len(mesh.faces):  # for a mesh without faces, trimesh writes an empty "f"
         given = cast("Any", trimesh.PointCloud(mesh.vertices))
     if not len(mesh.vertices):
         file.write(f"# {HEADER}\n".encode())
         return
-    _check_text(mesh, text_memory if normals is None else 2 * text_memory)
+    coloured = mesh.colours is not None
+    _check_text(mesh, text_memory * (1 + (normals is not None) + coloured))
     text = given.export(
         file_type="obj",
-        digits=max(decimals_of(mesh), 0 if normals is None else 9),
+        digits=max(decimals_of(mesh), 0 if normals is None else 9, 4 * coloured),
         include_normals=normals is not None and len(mesh.faces) > 0,
-        include_color=False,
+        include_color=coloured,
         include_texture=False,
         header=HEADER,
     )
@@ -79,7 +82,8 @@ def write_off(
 
 
 def write_ply(mesh: Mesh | BlockSurface, file: BinaryIO, normals: np.ndarray | None = None) -> None:
-    """Write binary PLY: float32 coordinates and normals, int32 indices."""
+    """Write binary PLY: float32 coordinates and normals, int32 indices, and colours of vertices as
+    bytes of sRGB and opacity."""
     from voxtool.svo.surface.blocks import BlockSurface
 
     if isinstance(mesh, BlockSurface):
@@ -121,15 +125,19 @@ def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
 
 
 def write_glb(
-    mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, limit: int = GLB_BYTES
+    mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, limit: int = BYTES
 ) -> None:
     """Write binary glTF 2.0: float32 coordinates and normals, uint32 indices, at most `limit`
     bytes."""
     given = _given(mesh, normals)
     check_float32(mesh, "GLB")
-    vertex_bytes = 12 if normals is None else 24
+    coloured = mesh.colours is not None
+    vertex_bytes = 12 + 12 * (normals is not None) + 16 * coloured
     if 12 * len(mesh.faces) + vertex_bytes * len(mesh.vertices) > limit:
         raise FileError("GLB holds 4 GiB at most and this mesh has more: write .ply")
+    if coloured and len(mesh.faces):  # trimesh writes them as bytes of sRGB
+        write_nodes([Node(mesh.name or "mesh", mesh, normals)], file, limit)
+        return
     file.write(
         given.export(file_type="glb", include_normals=normals is not None, unitize_normals=False)
     )
@@ -139,7 +147,7 @@ def write_glb(
 
 
 def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
-    """Return a trimesh.Trimesh of the mesh, with its normals."""
+    """Return a trimesh.Trimesh of the mesh, with its normals and colours."""
     _check_finite(mesh, mesh.vertices, BAD_VERTEX)
     if normals is not None:
         normals = np.array(normals, np.float64)  # a copy: trimesh makes it read-only
@@ -150,7 +158,14 @@ def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
             )
         _check_finite(mesh, normals, "the normal of vertex {} is not finite: give it one")
         normals = normals if len(normals) else None  # trimesh fails on an empty array
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
+    colours = None
+    if mesh.colours is not None:
+        light = np.rint(mesh.colours[:, :3] * srgb.ONE).astype(np.int64)
+        opacity = np.rint(mesh.colours[:, 3:] * srgb.LEVELS).astype(np.uint8)
+        colours = np.concatenate([srgb.to_levels(light), opacity], axis=1)
+    return trimesh.Trimesh(
+        mesh.vertices, mesh.faces, vertex_normals=normals, vertex_colors=colours, process=False
+    )
 
 
 def decimals_of(mesh: Mesh) -> int:

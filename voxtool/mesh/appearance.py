@@ -17,6 +17,7 @@ FILE = "file"
 GROUPINGS = (*NAMED, FILE)  # of faces
 WRAPS = ("repeat", "mirror", "clamp")  # of textures beyond 0 to 1, as in glTF
 FILTERS = ("linear", "nearest")
+WHITE = (1.0, 1.0, 1.0, 1.0)
 MOST_UV = 1 << 20  # repeats of a texture on either side of 0
 
 
@@ -68,7 +69,7 @@ class Material(Data):
     """
 
     name: str
-    colour: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    colour: tuple[float, float, float, float] = WHITE
     texture: Texture | None = None
 
 

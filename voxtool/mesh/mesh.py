@@ -14,7 +14,7 @@ import numpy as np
 
 from voxtool.arrays import Data, float64, read_only
 from voxtool.errors import MeshError, count_of, one_line
-from voxtool.mesh.appearance import Appearance, Parts, check_described
+from voxtool.mesh.appearance import WHITE, Appearance, Parts, check_described
 
 MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
 
@@ -95,6 +95,15 @@ class Mesh(Data):
         points = self.vertices if used.all() else self.vertices[used]
         bounds = np.array([[f(points[:, axis]) for axis in range(3)] for f in (np.min, np.max)])
         return read_only(bounds + 0.0)  # no -0.0
+
+    @property
+    def colours(self) -> np.ndarray | None:
+        """(V, 4) float64: the colours of the vertices, in linear light, or None if there are none
+        or a material that is not plain white multiplies them."""
+        look = self.appearance
+        if look is None or any(one.texture or one.colour != WHITE for one in look.materials):
+            return None
+        return look.colours
 
     @cached_property
     def positions(self) -> np.ndarray:

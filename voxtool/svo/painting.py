@@ -87,15 +87,18 @@ def colours_of_cells(
         here = np.flatnonzero(exponents == k)
         codes = morton_encode(cells[here, :3].astype(np.int64) >> k)
         distinct, places = np.unique(codes, return_inverse=True)
-        if k == 0:
-            own = values_of_voxels(values, distinct)
-        else:
-            number = k - BRICK_POWER
-            own = values.around(distinct, number)
-            if k == size:
-                own = _of_nodes(values, number, distinct, own)
-        found[here] = own[places.ravel()]
+        found[here] = values_of_cubes(values, distinct, k)[places.ravel()]
     return colours_of_values(values.attribute, found, plain)
+
+
+def values_of_cubes(values: CellValues, codes: np.ndarray, k: int) -> np.ndarray:
+    """Return the values of cubes of 2**k voxels a side by their Morton codes, (n, ...): those of
+    voxels, of inside leaves and of nodes of the values' own size; of others 0."""
+    if k == 0:
+        return values_of_voxels(values, codes)
+    number = k - BRICK_POWER
+    own = values.around(codes, number)
+    return _of_nodes(values, number, codes, own) if k == values.size else own
 
 
 def _of_nodes(values: CellValues, number: int, codes: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -104,7 +107,7 @@ def _of_nodes(values: CellValues, number: int, codes: np.ndarray, others: np.nda
     own = values.levels[number].codes
     at = np.minimum(np.searchsorted(own, codes), len(own) - 1)
     there = own[at] == codes
-    others[there] = values.of_nodes(number)[at[there]]
+    others[there] = values.of_cells(number, at[there])[:, 0]
     return others
 
 
@@ -124,12 +127,22 @@ def with_labels(content: Any, names: Sequence[str]) -> Octree:
         part = slice(first, first + BRICKS)
         flags = chosen[values.of_bricks(part)]
         kept[part] = np.packbits(flags, axis=1, bitorder="little").view(BRICK)[:, 0]
-    kept &= content.bricks
-    nodes, inside = content.nodes.copy(), (content.nodes["child"] & INSIDE) != 0
-    leaves = chosen[values.of_leaves(int(inside.sum()))]
-    nodes["child"][np.flatnonzero(inside)[~leaves]] = 0
-    attributes = [_part_of(one, content.bricks, kept, leaves) for one in content.attributes]
-    return replace(content, nodes=nodes, bricks=kept, attributes=tuple(attributes))
+    leaves = chosen[values.of_leaves(len(_inside(content)))]
+    return part_of(content, kept & content.bricks, leaves)
+
+
+def part_of(octree: Octree, kept: np.ndarray, leaves: np.ndarray) -> Octree:
+    """Return the octree of some of the voxels of the bricks, as masks (M,) uint64, and of some of
+    the inside leaves, (L,) bool, with its attributes."""
+    nodes = octree.nodes.copy()
+    nodes["child"][_inside(octree)[~leaves]] = 0
+    attributes = [_part_of(one, octree.bricks, kept, leaves) for one in octree.attributes]
+    return replace(octree, nodes=nodes, bricks=kept, attributes=tuple(attributes))
+
+
+def _inside(octree: Octree) -> np.ndarray:
+    """Return the places of the inside leaves among the nodes."""
+    return np.flatnonzero(octree.nodes["child"] & INSIDE)
 
 
 def _part_of(

@@ -35,6 +35,7 @@ from voxtool.opencl import Device, default_device
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
+from voxtool.svo.surface.colours import has_colours, surface_colours
 from voxtool.svo.surface.cut_cells import (
     MAX_LEVEL,
     Extracted,
@@ -51,6 +52,7 @@ from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import (
     COMPACTIONS,
     MAX_SAMPLES,
+    MERGED_COLOURS,
     RELAXATIONS,
     SCAN,
     ExtractionPlan,
@@ -79,6 +81,8 @@ def plan_extract(
     place of the octree: links that it does not cross are closed smoothly."""
     style, level, share = _checked(octree, style, level, isovalue, merge, source)
     tree, plan = _plan(octree, style, level, share, merge)
+    coloured = has_colours(octree)
+    plan = replace(plan, coloured=coloured, colours=coloured and not merge)
     if has_fractions(octree) and style != VOXEL_FACES:
         plan = replace(plan, fractions=True, relaxations=0)
     device = device or default_device()
@@ -300,7 +304,17 @@ class ExtractJob(Job[Isosurface]):
                 features=found.features,
             )
             homes = [home.take().reshape(-1, 3) for home in found.homes]
-        return self._untangled(surface, homes) if homes and len(surface.faces) else surface
+        if homes and len(surface.faces):
+            surface = self._untangled(surface, homes)
+        return self._with_colours(surface) if plan.colours else surface
+
+    def _with_colours(self, surface: Isosurface) -> Isosurface:
+        """Return the surface with the colours of the voxels."""
+        with self.device.stage("colours"):
+            colours = surface_colours(
+                self.octree, surface.style, surface.side, surface.points, surface.faces, self.device
+            )
+        return replace(surface, colours=colours)
 
     def _untangled(self, surface: Isosurface, homes: list[np.ndarray]) -> Isosurface:
         """Return a sharp surface whose faces do not intersect, as far as that can be had."""
@@ -334,7 +348,7 @@ class ExtractJob(Job[Isosurface]):
             )
 
     def notes(self, result: Isosurface) -> Iterator[str]:
-        """Yield what the samples lose if that is little."""
+        """Yield what the samples lose if that is little, and why colours are left out."""
         if result.features and result.features.open:
             yield (
                 f"{count_of(result.features.open, 'vertex')} of {len(result.points):,} have no "
@@ -342,6 +356,8 @@ class ExtractJob(Job[Isosurface]):
             )
         if result.lost.below and not list(self.findings(result)):
             yield self._losses(result)
+        if self.plan.coloured and self.plan.merge:
+            yield f"colours are left out: {MERGED_COLOURS}; without --merge they are written"
 
     def _losses(self, result: Isosurface) -> str:
         """Return the number of voxels that the samples do not show, and what would keep them."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.arrays import Data, digest_of, read_only
-from voxtool.choices import STYLE_ALIASES
+from voxtool.choices import STYLE_ALIASES, VOXEL_FACES
 from voxtool.grid import Grid
+from voxtool.mesh import srgb
+from voxtool.mesh.appearance import Appearance
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain, volume
 from voxtool.opencl import program
@@ -79,6 +81,9 @@ class Isosurface(Data):
         coplanar squares are joined (greedy meshing), which leaves T-junctions.
     features
         numbers of vertices of a sharp surface, or None.
+    colours
+        (V, 4) uint8, sRGB and opacity of the vertices, or (F, 4) of the triangles of voxel faces;
+        None if the octree has no colours, or they were not requested.
     """
 
     grid: Grid
@@ -94,6 +99,7 @@ class Isosurface(Data):
     lost: Lost
     merged: bool = False
     features: Features | None = None
+    colours: np.ndarray | None = None
 
     def __repr__(self) -> str:
         return (
@@ -141,6 +147,23 @@ class Isosurface(Data):
         """Return the surface as a triangle mesh in world units."""
         return Mesh(self.vertices, self.faces, name=f"{self.style} surface", units=self.units)
 
+    def coloured(self) -> tuple[Mesh, np.ndarray]:
+        """Return the mesh with its colours, and the vertex of the surface that each of its vertices
+        is, (n,) int. A vertex of voxel faces is repeated for each colour around it."""
+        mesh, colours = self.mesh(), self.colours
+        if colours is None or len(colours) == 0:
+            return mesh, np.arange(len(self.points))
+        origin, faces = np.arange(len(self.points)), self.faces
+        if self.style == VOXEL_FACES:
+            packed = np.repeat(np.ascontiguousarray(colours).view("<u4"), 3).astype(np.uint64)
+            keys = self.faces.ravel().astype(np.uint64) << np.uint64(32) | packed
+            _, first, corners = np.unique(keys, return_index=True, return_inverse=True)
+            origin, faces = self.faces.ravel()[first], corners.reshape(-1, 3).astype(np.int32)
+            colours = colours[first // 3]
+        light = np.concatenate([srgb.to_linear(colours[:, :3]), colours[:, 3:] / 255], axis=1)
+        look = Appearance((), np.full(len(faces), -1, np.int32), None, light)
+        return replace(mesh, vertices=self.vertices[origin], faces=faces, appearance=look), origin
+
     def check(self) -> dict[str, Any]:
         """Return whether the surface is closed, its volume in cubic world units, and the counts of
         check_surface; of a merged surface, whose edges end within others, no counts. Of a sharp
@@ -165,10 +188,12 @@ class Isosurface(Data):
         )
 
     def digest(self) -> str:
-        """Return the SHA-256 of grid, style, level, isovalue, points and faces, in little-endian
-        order. Equal content has an equal digest on every device and platform."""
+        """Return the SHA-256 of grid, style, level, isovalue, points and faces, and of colours if
+        there are any, in little-endian order. Equal content has an equal digest on every device and
+        platform."""
         head = head_of(self.grid, self.style, self.level, self.isovalue, self.merged)
-        return digest_of(head, self.points, self.faces)
+        colours = [] if self.colours is None else [self.colours]
+        return digest_of(head, self.points, self.faces, *colours)
 
 
 def head_of(

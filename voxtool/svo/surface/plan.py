@@ -19,10 +19,12 @@ TILE_BYTES = 124  # on the device: of a tile,
 EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 280}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
 SOURCE_BYTES = 60, 24  # of a sharp surface: of a vertex of the source, and of a face
+COLOURED_BYTES, COLOUR_BYTES = 100, 8  # on the host: of a brick with colours, of a cut edge
 SCAN = "scan"
 # How marching cubes find the places of outputs, and the arity of the pyramid. A GPU is said to gain
 # by pyramids [Dyken 2008]; none was measured here, and on a CPU the scan is faster.
 COMPACTIONS = {SCAN: None, "pyramid-2": 2, "pyramid-4": 4, "pyramid-5": 5}
+MERGED_COLOURS = "squares of several colours are merged"
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 
@@ -49,6 +51,8 @@ class ExtractionPlan:
     fractions: bool = False  # samples are voxels, and how much of them is inside
     naive: bool = False  # every cube of the root is visited
     compaction: str = SCAN  # of COMPACTIONS; of marching cubes
+    coloured: bool = False  # the octree's voxels have colours
+    colours: bool = False  # and so will the surface
 
     @property
     def voxels(self) -> bool:
@@ -72,6 +76,7 @@ class ExtractionPlan:
             "read back": True,
             "self-intersections": self.style == SHARP,
             "tree": self.style == SHARP,
+            "colours": self.colours,
         }
         return [stage for stage, runs in stages.items() if runs]
 
@@ -115,6 +120,7 @@ class ExtractionPlan:
         return Cost(
             device=octree + tiles + max(edge * self.edges + source, apart),
             largest=max(bricks, self.samples**3 // 512, 64 * self.visited, 28 * self.edges),
+            host=(COLOURED_BYTES * self.nodes[0] + COLOUR_BYTES * self.edges) * self.colours,
         )
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
@@ -170,6 +176,8 @@ class ExtractionPlan:
             out["relaxation"] = "coverages are smooth as they are"
         if not self.merge:
             out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
+        if self.coloured and not self.colours:
+            out["colours"] = MERGED_COLOURS if self.merge else "the mesh is written without"
         return out
 
     def as_dict(self) -> dict[str, Any]:
