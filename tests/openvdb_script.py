@@ -17,7 +17,8 @@ except ImportError:  # its name since OpenVDB 12
 def read(path, out, nx, ny, nz, *name):
     grid = pyopenvdb.read(path, *name) if name else pyopenvdb.readAll(path)[0][0]
     shape = (int(nx), int(ny), int(nz))
-    values = np.zeros(shape, type(grid.background))
+    of_vectors = isinstance(grid.background, tuple)
+    values = np.zeros((*shape, 3) if of_vectors else shape, np.array(grid.background).dtype)
     grid.copyToArray(values)
     facts = {
         "type": type(grid).__name__,
@@ -33,7 +34,7 @@ def read(path, out, nx, ny, nz, *name):
         ],
         "metadata": {k: v for k, v in grid.metadata.items() if isinstance(v, (str, int))},
     }
-    grid.prune()
+    grid.prune((0.0, 0.0, 0.0) if of_vectors else 0)
     facts["pruned"] = grid.leafCount()
     np.savez(out, values=values, facts=json.dumps(facts))
 

@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_attributes import attributed
+from helpers_attributes import attributed, sizes
+from helpers_openvdb import openvdb
 
 import voxtool
 from voxtool.errors import VoxtoolError
 from voxtool.files.formats import EXCHANGE
 from voxtool.grid import Grid
+from voxtool.mesh.srgb import to_linear
 from voxtool.svo.attribute_image import AttributeImage
-from voxtool.svo.attributes import KINDS
+from voxtool.svo.attributes import KINDS, Attribute
+from voxtool.svo.collect import Collector
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 
@@ -97,6 +100,88 @@ def test_vti(options: dict[str, Any], tmp_path: Path) -> None:
         wanted = wanted.transpose(2, 1, 0, *range(3, wanted.ndim))
         assert np.array_equal(found[name], wanted.reshape(-1, *wanted.shape[3:]))
     assert vtk_names(data) == NAMES
+
+
+def in_grids(name: str, values: np.ndarray) -> np.ndarray:
+    """Values of an attribute as grids of floats hold them."""
+    return (to_linear(values[..., :3]) if name == "colour" else values).astype(np.float32)
+
+
+@pytest.mark.parametrize("options", [{}, {"level": 1}, {"bbox": (-1, 0.5, 0.2, 1, 4, 1)}], ids=str)
+def test_vdb(options: dict[str, Any], tmp_path: Path) -> None:
+    """OpenVDB reads a grid for each attribute, whose active cells are those of the voxels."""
+    octree = octree_at_a_place()
+    path = exported(octree, tmp_path / "a.vdb", **options)
+    image = VoxelImage.of(octree, **options)
+    shape = np.add(image.low, image.shape)
+    part = tuple(slice(n, None) for n in image.low)
+    openvdb([("read", path, tmp_path / f"{n}.npz", *shape, n) for n in ("voxels", *KINDS)])
+    whole = np.load(tmp_path / "voxels.npz")
+    facts = json.loads(str(whole["facts"]))
+    for name in KINDS:
+        read = np.load(tmp_path / f"{name}.npz")
+        own = json.loads(str(read["facts"]))
+        wanted = in_grids(name, dense_of(octree, name, **options))
+        assert np.array_equal(read["values"][part], wanted), name
+        assert own["type"] == ("Vec3SGrid" if wanted.ndim == 4 else "FloatGrid")
+        assert {k: own[k] for k in ("active", "box", "corners")} == {
+            k: facts[k] for k in ("active", "box", "corners")
+        }
+        assert own["leaves"] == own["pruned"]
+    names = json.loads(str(np.load(tmp_path / "label.npz")["facts"]))["metadata"]
+    assert json.loads(names["voxtool_label_names"]) == NAMES
+    if not options:
+        assert voxtool.read_voxels(path).set_digest() == octree.set_digest()
+        found = voxtool.read_voxels(path, grid="label", label=2)
+        cells = np.argwhere(dense_of(octree, "label") == 2)
+        assert np.array_equal(
+            (found.occupied() + 0.5) * found.grid.pitch + found.grid.origin,
+            (cells + 0.5) * octree.grid.pitch + octree.grid.origin,
+        )
+
+
+@pytest.mark.parametrize("side", [8, 128, 4096])
+def test_tiles_of_attributes(side: int, tmp_path: Path) -> None:
+    """Cubes of one label are tiles of every level of the tree, each with its own value."""
+    collector = Collector(Grid((side, side, 2 * side), (0.5, 1, 2), (0.5, 0.5, 0.5)))
+    collector.add_cubes(np.array([[0, 0, 0], [0, 0, side]]), side)
+    octree = collector.octree()
+    leaves = [level.cells[level.inside] for level in octree.levels() if level.number]
+    values = (np.concatenate(leaves)[:, 2] >= side).astype(np.uint8)
+    none = np.full(64 * len(octree.bricks), 0, np.uint8)[: int(sizes(octree)[0])]
+    octree = replace(octree, attributes=(Attribute("label", none, values, names=("a", "b")),))
+    path = exported(octree, tmp_path / "a.vdb")
+    assert path.stat().st_size < 60_000
+    corner = (2, 2, side + 3)
+    openvdb([("read", path, tmp_path / "a.npz", *corner, "label")])
+    read = np.load(tmp_path / "a.npz")
+    facts = json.loads(str(read["facts"]))
+    assert (facts["active"], facts["leaves"]) == (2 * side**3, 0)
+    assert (read["values"] == np.where(np.arange(corner[2]) < side, 1, 2)).all()
+    pytest.importorskip("warp")
+    from helpers_warp import grids_of, values_at
+
+    grids = grids_of(exported(octree, tmp_path / "a.nvdb"))
+    cells = np.array([[0, 0, 0], [side - 1, side - 1, side - 1], [0, 1, side], [0, 0, 2 * side]])
+    assert values_at(grids["label"], cells).tolist() == [1, 1, 2, 0]
+    assert values_at(grids["voxels"], cells).tolist() == [1, 1, 1, 0]
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_nvdb(level: int, tmp_path: Path) -> None:
+    """Warp reads the grids of labels and fractions after that of the voxels."""
+    pytest.importorskip("warp")
+    from helpers_warp import grids_of, values_at
+
+    octree = octree_at_a_place()
+    job = voxtool.plan_export(octree, tmp_path / "a.nvdb", level=level)
+    assert job.plan.left_out == {"attributes colour, normal": ".nvdb holds label and fraction"}
+    grids = grids_of(exported(octree, tmp_path / "a.nvdb", level=level))
+    assert list(grids) == ["voxels", "label", "fraction"]
+    for name in ("label", "fraction"):
+        wanted = np.pad(in_grids(name, dense_of(octree, name, level=level)), 1)
+        cells = np.argwhere(np.ones_like(wanted)) - 1
+        assert np.array_equal(values_at(grids[name], cells).reshape(wanted.shape), wanted)
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -285,8 +370,10 @@ def test_one_array_is_the_label_unless_another_is_asked_for(tmp_path: Path) -> N
 
 def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     octree = octree_at_a_place()
+    plan = voxtool.plan_export(octree, tmp_path / "%04d.png").plan
+    assert plan.left_out == {"attributes label, colour, normal, fraction": "%04d.png holds none"}
     plan = voxtool.plan_export(octree, tmp_path / "a.vdb").plan
-    assert plan.left_out == {"attributes label, colour, normal, fraction": ".vdb holds none"}
+    assert plan.left_out == {"opacity of colours": ".vdb holds red, green and blue"}
     plan = voxtool.plan_export(octree, tmp_path / "a.vti", invert=True).plan
     assert "--invert asks for other values" in next(iter(plan.left_out.values()))
 
@@ -294,7 +381,8 @@ def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("a.vdb", {"attributes": "label"}, r"\.vdb holds no attributes of voxels: choose \.npy"),
+        ("a.binvox", {"attributes": "label"}, r"\.binvox holds no attributes of voxels: choose"),
+        ("a.nvdb", {"attributes": "normal"}, r"\.nvdb holds label and fraction, not normal"),
         ("a.nii", {"attributes": "label,colour"}, r"holds one attribute: name one, or"),
         ("a.vti", {"attributes": "taste"}, "attribute 'taste' is unknown: choose one of label"),
         ("a.vti", {"attributes": "label,label"}, "name each once"),

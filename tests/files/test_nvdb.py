@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from helpers_field import level_sets
 from helpers_octree import WORLD, ball
+from helpers_warp import values_at, wp
 
 import voxtool
 from voxtool.errors import VoxtoolError
 from voxtool.svo.image import VoxelImage
 
-wp: Any = pytest.importorskip("warp")
-wp.config.quiet = True
 CASES = level_sets()
 LARGE = np.zeros((264, 16, 16), bool)
 LARGE[:, 3:] = ball((264, 13, 16), 0.03) | (np.arange(264) > 200)[:, None, None]
@@ -26,13 +25,6 @@ SHAPES = {
     "all": np.ones((8, 16, 9), bool),
     "nothing": np.zeros((8, 9, 10), bool),
 }
-
-
-@wp.kernel
-def look_up(volume: wp.uint64, cells: wp.array(dtype=wp.vec3i), found: wp.array(dtype=float)):  # pyright: ignore
-    i = wp.tid()
-    c = cells[i]
-    found[i] = wp.volume_lookup_f(volume, c[0], c[1], c[2])
 
 
 @pytest.mark.parametrize("options", [{}, {"level": 1}], ids=str)
@@ -52,11 +44,9 @@ def test_warp_reads_the_same(shape: str, options: dict[str, Any], tmp_path: Path
     assert np.array_equal(np.reshape(info.transform_matrix, (3, 3)), np.diag(pitch.astype("f4")))
     assert np.allclose(info.translation, corner + pitch / 2, rtol=1e-6, atol=0)
     cells = np.argwhere(np.ones_like(wanted)).astype(np.int32) - 1
-    found = wp.zeros(len(cells), dtype=float, device="cpu")
-    inputs = [volume.id, wp.array(cells, dtype=wp.vec3i, device="cpu"), found]
-    wp.launch(look_up, len(cells), inputs, device="cpu")
+    found = values_at(volume, cells)
     assert info.type_str == "float"
-    assert np.array_equal(found.numpy().reshape(wanted.shape), wanted)
+    assert np.array_equal(found.reshape(wanted.shape), wanted)
 
 
 def test_types_are_refused(tmp_path: Path) -> None:
@@ -84,8 +74,6 @@ def test_warp_reads_level_sets(name: str, tmp_path: Path) -> None:
     if name != "half":  # of which a part is looked at
         assert active == np.count_nonzero(abs(distances) < background)
     cells = np.concatenate([steps, [[-5, 0, 0], [5000, 7, 7]]]).astype(np.int32)
-    found = wp.zeros(len(cells), dtype=float, device="cpu")
-    inputs = [volume.id, wp.array(cells, dtype=wp.vec3i, device="cpu"), found]
-    wp.launch(look_up, len(cells), inputs, device="cpu")
+    found = values_at(volume, cells)
     wanted = distances.clip(-background, background)
-    assert np.array_equal(found.numpy(), [*wanted, background, background])
+    assert np.array_equal(found, [*wanted, background, background])

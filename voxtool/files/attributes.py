@@ -31,6 +31,16 @@ def chosen_attributes(
     VoxtoolError
         If the octree has no such attribute, or the format holds none, or only one.
     """
+    found, left_out = _chosen(content, name, asked, other)
+    if "colour" in found and not EXCHANGE[name].opacity:
+        left_out = {**left_out, "opacity of colours": f"{ending(name)} holds red, green and blue"}
+    return found, left_out
+
+
+def _chosen(
+    content: Any, name: str, asked: str | Sequence[str] | None, other: Sequence[str]
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Return the attributes that an export holds, and which are left out, with the reason."""
     names = asked.split(",") if isinstance(asked, str) else asked
     there = [one.name for one in getattr(content, "attributes", ())]
     holds = EXCHANGE[name].attributes
@@ -46,7 +56,10 @@ def chosen_attributes(
     if other:
         return (), {left: f"they are of set voxels, and {other[0]} asks for other values"}
     if holds == "all":
-        return tuple(there), {}
+        lost = _not_held(name, there)
+        why = f"{ending(name)} holds {' and '.join(EXCHANGE[name].kinds)}"
+        kept = tuple(one for one in there if one not in lost)
+        return kept, {f"attributes {', '.join(lost)}": why} if lost else {}
     first = ("label",) if "label" in there else ()
     if holds == "palette":
         first = tuple(name for name in PAINTED if name in there)[:1]
@@ -54,6 +67,12 @@ def chosen_attributes(
     what = "a palette of colours or labels" if holds == "palette" else "one array"
     why = f"{ending(name)} holds {what}: choose it by --attribute"
     return first, {f"attributes {', '.join(rest)}": why} if rest else {}
+
+
+def _not_held(name: str, names: Sequence[str]) -> list[str]:
+    """Return the attributes of these that a format cannot hold."""
+    kinds = EXCHANGE[name].kinds
+    return [one for one in names if kinds and one not in kinds]
 
 
 def _asked(
@@ -78,6 +97,9 @@ def _asked(
         raise VoxtoolError(f"{ending(name)} holds no attributes of voxels: choose {known}")
     if holds == "palette" and (wrong := [one for one in names if one not in PAINTED]):
         raise VoxtoolError(f"{ending(name)} holds colours or labels, not {wrong[0]}: choose one")
+    if lost := _not_held(name, names):
+        held = " and ".join(EXCHANGE[name].kinds)
+        raise VoxtoolError(f"{ending(name)} holds {held}, not {lost[0]}: choose .vdb for all")
     if holds in ("one", "palette") and len(names) > 1:
         known = ", ".join(ending(key) for key, each in EXCHANGE.items() if each.attributes == "all")
         raise VoxtoolError(f"{ending(name)} holds one attribute: name one, or choose {known}")

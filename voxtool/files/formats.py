@@ -57,6 +57,8 @@ class Exchange(NamedTuple):
     hexahedra: bool = False  # whether set cells are written as hexahedra, for solvers
     # of voxels: "all" beside the occupancy, "one" in its place, a "palette" beside it, or "" none
     attributes: str = ""
+    kinds: tuple[str, ...] = ()  # of attributes, those that it can hold; (): all
+    opacity: bool = True  # whether its colours have one
 
 
 # What is written, by the extension that names it.
@@ -110,6 +112,8 @@ EXCHANGE = {
         levels="vdb_levels",
         grids=True,
         whole=True,
+        attributes="all",
+        opacity=False,
     ),
     "vox": Exchange(
         "vox", "grid; which cells are set", dtypes=("bool",), whole=True, attributes="palette"
@@ -120,6 +124,8 @@ EXCHANGE = {
         levels="nvdb_levels",
         reads=False,
         whole=True,
+        attributes="all",
+        kinds=("label", "fraction"),
     ),
     "vtkhdf": Exchange(
         "vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume", whole=True, attributes="all"

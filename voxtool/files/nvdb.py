@@ -1,8 +1,8 @@
 """Grids of NanoVDB, .nvdb, uncompressed: the tree of a .vdb, laid out for reading in place.
 
 The grid is that of vdb.py: the same cells, tiles and map, of float32; nvdb_levels.py writes that of
-vdb_levels.py. A file has a header, a table
-of one grid, and the grid: grid, tree, root, then all upper nodes, lower nodes and leaves.
+vdb_levels.py. Labels and fractions are grids of their own. A file has a header, a table of the
+grids, and the grids: grid, tree, root, then all upper nodes, lower nodes and leaves.
 An entry of a node's table is a tile's value or the distance in bytes to a child.
 [NanoVDB: Museth 2021, doi 10.1145/3450623.3464653; files of version 32.6]
 """
@@ -10,12 +10,13 @@ An entry of a node's table is a tile's value or the distance in bytes to a child
 from __future__ import annotations
 
 import struct
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from voxtool.errors import VoxtoolError
 from voxtool.files import vdb
+from voxtool.files.vdb_attributes import AttributeGrid
 from voxtool.files.vdb_encode import (
     CELLS,
     KEY_SHIFTS,
@@ -34,11 +35,12 @@ from voxtool.files.vdb_encode import (
     tiles_of,
     upper_corners,
 )
+from voxtool.svo.attribute_image import attributes_of
 from voxtool.svo.image import VoxelImage
 
 MAGIC, GRID_MAGIC = b"NanoVDB0", b"NanoVDB1"  # of version 32.6: of files, and of grids in new ones
 VERSION = 32 << 21 | 6 << 10
-LEVEL_SET, FOG_VOLUME = 1, 2  # classes of grids
+UNKNOWN, LEVEL_SET, FOG_VOLUME = 0, 1, 2  # classes of grids
 BREADTH_FIRST, HAS_BOX = 1 << 5, 2
 FLOAT = 1  # the type of the values
 HEADER, TABLE, GRID, TREE, ROOT, TILE = 16, 176, 672, 64, 64, 32  # bytes
@@ -56,6 +58,7 @@ def node_type(power: int) -> np.dtype:
 
 
 LEAF_TYPE = np.dtype([*LEAF_HEAD, ("statistics", "u1", 16), ("values", "<f4", CELLS)])
+SIZES = (LEAF_TYPE.itemsize, node_type(LOWER).itemsize, node_type(UPPER).itemsize)
 
 
 class Content(NamedTuple):
@@ -75,6 +78,7 @@ class Content(NamedTuple):
     inside: Inside = Inside(1, True)
     background: float = 0.0
     whole: bool = False
+    name: str = vdb.GRID_NAME
 
 
 def _floats(image: VoxelImage) -> VoxelImage:
@@ -92,7 +96,8 @@ def size(image: VoxelImage) -> int:
     """A bound of the bytes of the file."""
     image = _floats(image)
     corners, _ = image.block_nodes(LEAF_SIDE)
-    return size_of(corners, tiles_of(image.cubes(LEAF_SIDE)))
+    grids = 1 + len(image.attributes)
+    return grids * size_of(corners, tiles_of(image.cubes(LEAF_SIDE)))
 
 
 def size_of(corners: np.ndarray, tiles: dict[str, np.ndarray]) -> int:
@@ -105,69 +110,111 @@ def size_of(corners: np.ndarray, tiles: dict[str, np.ndarray]) -> int:
 
 
 def write(image: VoxelImage, file: BinaryIO) -> None:
-    """Write one grid of bool or float32."""
+    """Write a grid of float32, and one for each attribute."""
     image = _floats(image)
     leaves, cubes = vdb.tree_of(image, pack=False)
     pitch, (low, high, count) = np.array(image.pitch), vdb.extent_of(leaves, cubes)
     middle = np.array(image.corner) + pitch / 2
-    write_grid(
-        Content(FOG_VOLUME, middle, pitch, leaves, tiles_of(cubes), (low, high), count), file
-    )
+    voxels = Content(FOG_VOLUME, middle, pitch, leaves, tiles_of(cubes), (low, high), count)
+    more = (AttributeGrid.of(one, leaves, pack=False) for one in attributes_of(image))
+    attributes = [
+        voxels._replace(
+            kind=UNKNOWN, leaves=one.leaves, tiles=one.tiles, inside=one.inside, name=one.name
+        )
+        for one in more
+    ]
+    write_grids([voxels, *attributes], file)
 
 
-def write_grid(content: Content, file: BinaryIO) -> None:
-    """Write a file of one grid."""
-    leaves, tiles, (low, high) = content.leaves, content.tiles, content.box
-    lower, upper = parents_of(leaves.keys, tiles)
-    roots = np.sort(np.concatenate([upper, tiles["upper"]]))
-    counts = (len(leaves.keys), len(lower), len(upper))
-    sizes = (LEAF_TYPE.itemsize, node_type(LOWER).itemsize, node_type(UPPER).itemsize)
-    first_upper = TREE + ROOT + TILE * len(roots)  # bytes from the start of the tree
-    first_lower = first_upper + counts[2] * sizes[2]
-    first_leaf = first_lower + counts[1] * sizes[1]
-    total = GRID + first_leaf + counts[0] * sizes[0]
-    flat = [len(tiles[name]) for name in KEY_SHIFTS]
+def write_grids(contents: list[Content], file: BinaryIO) -> None:
+    """Write a file of some grids."""
+    file.write(struct.pack("<8sIHH", MAGIC, VERSION, len(contents), 0))
+    for content in contents:
+        _write_table(content, file)
+    for number, content in enumerate(contents):
+        _write_grid(content, file, (number, len(contents)))
+
+
+class Layout(NamedTuple):
+    """Where the nodes of a grid lie."""
+
+    lower: np.ndarray  # places of the lower and the upper nodes, and what the root lists
+    upper: np.ndarray
+    roots: np.ndarray
+    counts: tuple[int, int, int]  # leaves, lower and upper nodes
+    first: tuple[int, int, int]  # of each, bytes from the start of the tree
+    total: int  # bytes of the grid
+
+    @classmethod
+    def of(cls, content: Content) -> Layout:
+        lower, upper = parents_of(content.leaves.keys, content.tiles)
+        roots = np.sort(np.concatenate([upper, content.tiles["upper"]]))
+        counts = (len(content.leaves.keys), len(lower), len(upper))
+        first_upper = TREE + ROOT + TILE * len(roots)
+        first_lower = first_upper + counts[2] * SIZES[2]
+        first_leaf = first_lower + counts[1] * SIZES[1]
+        total = GRID + first_leaf + counts[0] * SIZES[0]
+        return cls(lower, upper, roots, counts, (first_leaf, first_lower, first_upper), total)
+
+
+def _write_grid(content: Content, file: BinaryIO, place: tuple[int, int]) -> None:
+    """Write a grid, which is the `place[0]`-th of `place[1]`."""
+    layout, tiles, (low, high) = Layout.of(content), content.tiles, content.box
+    lower, upper, roots, counts, (first_leaf, first_lower, first_upper), total = layout
+    _write_head(content, file, total, place)
     tree = struct.pack("<4Q", first_leaf, first_lower, first_upper, TREE)
-    tree += struct.pack("<6IQ", *counts, *flat, content.active)
-    _write_head(content, file, total, tree)
+    tree += struct.pack("<6IQ", *counts, *_flat(content), content.active)
     root = struct.pack("<7I", *_signed(low), *_signed(high), len(roots))
     file.write(tree + (root + struct.pack("<f", content.background)).ljust(ROOT, b"\0"))
     _write_roots(content, file, roots, upper, first_upper - TREE)
-    step = (first_lower - first_upper, sizes[2], sizes[1])
+    step = (first_lower - first_upper, SIZES[2], SIZES[1])
     _write_nodes(content, file, UPPER, (upper, lower, tiles["lower"]), step)
-    step = (first_leaf - first_lower, sizes[1], sizes[0])
-    _write_nodes(content, file, LOWER, (lower, leaves.keys, tiles["leaf"]), step)
+    step = (first_leaf - first_lower, SIZES[1], SIZES[0])
+    _write_nodes(content, file, LOWER, (lower, content.leaves.keys, tiles["leaf"]), step)
     _write_leaves(content, file)
 
 
-def _word(value: float) -> int:
-    """Return the bits of a value in the table of a node."""
-    return int.from_bytes(np.array(value, "<f4").tobytes(), "little")
+def _flat(content: Content) -> list[int]:
+    """Return the numbers of tiles of lower, upper and root nodes."""
+    return [len(content.tiles[name]) for name in KEY_SHIFTS]
+
+
+def _words(values: Any) -> np.ndarray:
+    """Return the bits of values in the table of a node."""
+    return np.asarray(values, "<f4").view("<u4")
 
 
 def _signed(cells: np.ndarray) -> list[int]:
     return [int(n) & 0xFFFFFFFF for n in cells]
 
 
-def _write_head(content: Content, file: BinaryIO, total: int, tree: bytes) -> None:
-    """Write the header, the table of one grid and the grid, up to its tree."""
-    name = vdb.GRID_NAME.encode() + b"\0"
+def _world(content: Content) -> bytes:
+    """Return the box of the active cells in the world."""
     pitch, center, box = content.pitch, content.middle, content.box
-    world = np.array([center + pitch * box[0], center + pitch * (box[1] + 1)], "<f8")
-    counts, flat, count = tree[32:44], tree[44:56], tree[56:64]
-    file.write(struct.pack("<8sIHH", MAGIC, VERSION, 1, 0))
-    file.write(
-        struct.pack("<3Q", total, total, 0) + count + struct.pack("<2I", FLOAT, content.kind)
-    )
-    file.write(world.tobytes() + np.array(box, "<i4").tobytes() + pitch.astype("<f8").tobytes())
-    file.write(struct.pack("<I", len(name)) + counts + struct.pack("<I", 1) + flat)
+    return np.array([center + pitch * box[0], center + pitch * (box[1] + 1)], "<f8").tobytes()
+
+
+def _write_table(content: Content, file: BinaryIO) -> None:
+    """Write the entry of a grid in the table of the file."""
+    name, layout = content.name.encode() + b"\0", Layout.of(content)
+    file.write(struct.pack("<4Q", layout.total, layout.total, 0, content.active))
+    file.write(struct.pack("<2I", FLOAT, content.kind))
+    file.write(_world(content) + np.array(content.box, "<i4").tobytes())
+    file.write(content.pitch.astype("<f8").tobytes())
+    file.write(struct.pack("<4I", len(name), *layout.counts))
+    file.write(struct.pack("<4I", 1, *_flat(content)))
     file.write(struct.pack("<HHI", 0, 0, VERSION) + name)
-    file.write(struct.pack("<8sQIIIIQ", MAGIC, UNCHECKED, VERSION, BREADTH_FIRST, 0, 1, total))
-    file.write(name.ljust(256, b"\0"))
+
+
+def _write_head(content: Content, file: BinaryIO, total: int, place: tuple[int, int]) -> None:
+    """Write a grid up to its tree."""
+    pitch = content.pitch
+    file.write(struct.pack("<8sQIIIIQ", MAGIC, UNCHECKED, VERSION, BREADTH_FIRST, *place, total))
+    file.write((content.name.encode() + b"\0").ljust(256, b"\0"))
     for dtype in ("<f4", "<f8"):  # the map: matrix, its inverse, translation, taper
-        parts = [np.diag(pitch).ravel(), np.diag(1 / pitch).ravel(), center, [1.0]]
+        parts = [np.diag(pitch).ravel(), np.diag(1 / pitch).ravel(), content.middle, [1.0]]
         file.write(np.concatenate(parts).astype(dtype).tobytes())
-    file.write(world.tobytes() + pitch.astype("<f8").tobytes())
+    file.write(_world(content) + pitch.astype("<f8").tobytes())
     file.write(struct.pack("<2IqI", content.kind, FLOAT, total, 0))
     file.write(bytes(12) + GRID_MAGIC)
 
@@ -177,13 +224,13 @@ def _write_roots(
 ) -> None:
     """Write the table of the root; `first` counts the bytes from the root to the upper nodes."""
     places = dict(zip(upper.tolist(), range(len(upper)), strict=True))
-    each = node_type(UPPER).itemsize
+    values = iter(_words(content.inside.of("upper", slice(0, len(content.tiles["upper"])))))
     for key, corner in zip(roots.tolist(), upper_corners(roots).tolist(), strict=True):
         x, y, z = (n // UPPER_SIDE for n in corner)
         place = places.get(key)
-        child = 0 if place is None else first + place * each
+        child = 0 if place is None else first + place * SIZES[2]
         flat = place is None
-        state, value = flat and content.inside.active, flat * _word(content.inside.value)
+        state, value = flat and content.inside.active, next(values) if flat else 0
         row = struct.pack("<QqII", x << 42 | y << 21 | z, child, state, value)
         file.write(row.ljust(TILE, b"\0"))
 
@@ -202,7 +249,7 @@ def _write_nodes(
     """
     parents, children, tiles = keys
     first, own, each = step
-    unit = "upper" if power == UPPER else "lower"
+    unit, below = ("upper", "lower") if power == UPPER else ("lower", "leaf")
     side = UPPER_SIDE if power == UPPER else LOWER_SIDE
     low = corners_of(parents << KEY_SHIFTS[unit][0])
     mask = 8**power - 1
@@ -214,9 +261,9 @@ def _write_nodes(
         if content.inside.active:
             node["active"][0] = np.frombuffer(bits_of(tiles[flat] & mask, power), np.uint8)
         distances = first - i * own + each * np.arange(held.start, held.stop)
-        node["table"] = _word(content.background)
+        node["table"] = _words(content.background)
         node["table"][0, children[held] & mask] = distances
-        node["table"][0, tiles[flat] & mask] = _word(content.inside.value)
+        node["table"][0, tiles[flat] & mask] = _words(content.inside.of(below, flat))
         file.write(node.tobytes())
 
 

@@ -35,4 +35,4 @@ def write(image: LevelSet, file: BinaryIO) -> None:
         nvdb.LEVEL_SET, image.middle, np.array(image.pitch), leaves, tiles_of(cubes), (low, high),
         count, Inside(-float(background), False), float(background), whole=True,
     )  # fmt: skip
-    nvdb.write_grid(content, file)
+    nvdb.write_grids([content], file)

@@ -3,13 +3,15 @@
 Index (i, j, k) is the centre of cell (i, j, k), counted from the low corner of the octree's grid:
 world = translation + scale * index, and translation = corner + half a cell. Cells that are set are
 active, with their coverage as the value; wholly set cubes are tiles. The metadata origin, low and
-shape hold the grid without rounding, each name after "voxtool_".
+shape hold the grid without rounding, each name after "voxtool_". Attributes are grids of their own
+(vdb_attributes.py).
 [OpenVDB: Museth 2013, doi 10.1145/2487228.2487235; files of version 224]
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import struct
 from collections.abc import Callable
 from typing import Any, BinaryIO, NamedTuple
@@ -18,6 +20,7 @@ from uuid import UUID
 import numpy as np
 
 from voxtool.errors import VoxtoolError
+from voxtool.files.vdb_attributes import AttributeGrid
 from voxtool.files.vdb_encode import (
     ACTIVE_MASK,
     CELLS,
@@ -32,18 +35,19 @@ from voxtool.files.vdb_encode import (
     keys_of,
     packed,
     parents_of,
+    stored,
     tiles_of,
-    values_of,
     write_tree,
 )
 from voxtool.files.vdb_read import MAGIC
+from voxtool.files.vdb_read import OWN as GRID_NAME
 from voxtool.files.vdb_read import read as read
+from voxtool.svo.attribute_image import attributes_of
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.masks import block_masks
 from voxtool.version import __version__
 
 FILE_VERSION, LIBRARY = 224, (10, 0)  # of the library whose files these are like
-GRID_NAME = "voxels"
 NAMES = {"bool": "Tree_bool_5_4_3", "float32": "Tree_float_5_4_3"}
 BEYOND = 1 << 30  # a cell that no grid has
 EXTRA = 4096  # bytes of the header and the metadata
@@ -84,11 +88,16 @@ def size(image: VoxelImage) -> int:
     leaf = 3 * MASK_BYTES + 12
     if image.dtype != bool:
         leaf = 2 * MASK_BYTES + 9 + (CELLS * image.dtype.itemsize if image.level else 48)
-    return EXTRA + nodes + values + len(corners) * leaf
+    more = attributes_of(image)
+    for attribute in more:
+        values += sum(map(len, tiles.values())) * 4 * attribute.channels
+        leaf += 2 * MASK_BYTES + 9 + CELLS * 4 * attribute.channels
+    names = sum(len(json.dumps(attribute.names)) for attribute in more)
+    return (EXTRA + nodes) * (1 + len(more)) + names + values + len(corners) * leaf
 
 
 def write(image: VoxelImage, file: BinaryIO) -> None:
-    """Write one grid of bool or float32."""
+    """Write a grid of bool or float32, and one for each attribute."""
     _check_type(image)
     leaves, cubes = tree_of(image)
     low, high, count = extent_of(leaves, cubes)
@@ -109,10 +118,21 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
     if image.octree.transform:
         metadata["voxtool_transform"] = Meta.text(" ".join(map(repr, image.octree.transform)))
     middle = tuple(c + p / 2 for c, p in zip(corner, pitch, strict=True))
-    head = header_of(NAMES[image.dtype.name], content_id(image))
+    more = attributes_of(image)
+    file.write(header_of(content_id(image), 1 + len(more)))
     write_grid(
-        file, head, flags, metadata, middle, pitch, leaves, tiles_of(cubes), Inside(1, True), 0
-    )
+        file, NAMES[image.dtype.name], flags, metadata, middle, pitch, leaves, tiles_of(cubes),
+        Inside(1, True), 0,
+    )  # fmt: skip
+    for attribute in more:
+        grid = AttributeGrid.of(attribute, leaves)
+        own = {"class": Meta.text("unknown"), "name": Meta.text(grid.name)}
+        if attribute.names:
+            own["voxtool_label_names"] = Meta.text(json.dumps(attribute.names))
+        write_grid(
+            file, grid.type, ACTIVE_MASK | ZIP, metadata | own, middle, pitch, grid.leaves,
+            grid.tiles, grid.inside, grid.background,
+        )  # fmt: skip
 
 
 def _check_type(image: VoxelImage) -> None:
@@ -126,7 +146,7 @@ def tree_of(image: VoxelImage, pack: bool = True) -> tuple[Leaves, list[tuple[np
     None where all are one."""
     keys, masks, values = [np.empty(0, np.int64)], [np.empty((0, MASK_BYTES), np.uint8)], []
     cubes: list[tuple[np.ndarray, int]] = [*image.cubes(LEAF_SIDE)]
-    ones = [bytes(1) + values_of(n, Inside(1, True), image.dtype) for n in range(CELLS + 1)]
+    ones = [bytes(1) + stored(np.ones(n, image.dtype)) for n in range(CELLS + 1)]
     for blocks in block_masks(image):
         whole = (blocks.bits == 255).all(axis=1)
         if blocks.values is not None:
@@ -190,10 +210,10 @@ def string(value: str | bytes) -> bytes:
     return struct.pack("<I", len(data)) + data
 
 
-def header_of(type: str, identifier: UUID) -> bytes:
-    """Return the opening of a file of one grid, up to its three positions."""
+def header_of(identifier: UUID, grids: int = 1) -> bytes:
+    """Return the opening of a file of so many grids."""
     fixed = struct.pack("<qIIIB", MAGIC, FILE_VERSION, *LIBRARY, True) + str(identifier).encode()
-    return fixed + struct.pack("<II", 0, 1) + string(GRID_NAME) + string(type) + string("")
+    return fixed + struct.pack("<II", 0, grids)
 
 
 def metadata_of(entries: dict[str, Meta]) -> bytes:
@@ -214,7 +234,7 @@ def transform_of(translation: Any, scale: Any) -> bytes:
 
 def write_grid(
     file: BinaryIO,
-    head: bytes,
+    type: str,
     flags: int,
     metadata: dict[str, Meta],
     translation: Any,
@@ -222,19 +242,21 @@ def write_grid(
     leaves: Leaves,
     tiles: dict[str, np.ndarray],
     inside: Inside,
-    background: float,
+    background: Any,
 ) -> None:
-    """Write a file of one grid."""
+    """Write the next grid of a file; the metadata has its name."""
     names = "active values" if flags == ACTIVE_MASK else "zip + active values"
     metadata |= {
         "file_compression": Meta.text(names),
         "is_saved_as_half_float": Meta("bool", bytes(1)),
     }
-    start = len(head) + POSITIONS.size
-    file.write(head + bytes(POSITIONS.size))
+    file.write(string(metadata["name"].data) + string(type) + string(""))
+    places = file.tell()
+    start = places + POSITIONS.size
+    file.write(bytes(POSITIONS.size))
     file.write(struct.pack("<I", flags) + metadata_of(metadata) + transform_of(translation, scale))
     buffers = write_tree(file, leaves, tiles, inside, background)
     end = file.tell()
-    file.seek(len(head))
+    file.seek(places)
     file.write(POSITIONS.pack(start, buffers, end))
     file.seek(end)

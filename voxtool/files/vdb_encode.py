@@ -12,7 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ LEAF_SIDE = 1 << LEAF
 CELLS = 1 << 3 * LEAF  # of a leaf
 LOWER_SIDE, UPPER_SIDE = LEAF_SIDE << LOWER, LEAF_SIDE << (LOWER + UPPER)  # in cells
 MASK_BYTES = CELLS // 8
+FLOAT = np.dtype("<f4")
 ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4  # flags of a grid's compression
 # How the inactive values of a node are stored; + and - are of the background's sign.
 ALL_PLUS, ALL_MINUS, ONE_VALUE, PLUS_OR_MINUS, PLUS_OR_VALUE, TWO_VALUES, EVERY_VALUE = range(7)
@@ -36,10 +37,17 @@ KEY_SHIFTS = {  # the low bit of the coordinates of a node in a key, and how man
 
 
 class Inside(NamedTuple):
-    """The tiles of a tree: what they hold, and whether they are active."""
+    """The tiles of a tree: what they hold, whether they are active, and the type of all values."""
 
-    value: float
+    value: Any  # of all tiles; or of each by the name of the node, (n, ...) in the order of keys
     active: bool
+    dtype: np.dtype = FLOAT
+
+    def of(self, unit: str, part: slice) -> np.ndarray:
+        """Return the values of some of the tiles of a node, leaf, lower or upper."""
+        if isinstance(self.value, dict):
+            return self.value[unit][part]
+        return np.full(part.stop - part.start, self.value, self.dtype)
 
 
 @dataclass
@@ -95,14 +103,30 @@ def corners_of(keys: np.ndarray) -> np.ndarray:
 def tiles_of(cubes: Iterable[tuple[np.ndarray, int]]) -> dict[str, np.ndarray]:
     """Return the places of the tiles that cubes of 8 or more cells a side make, ascending keys of
     leaves, lower and upper nodes by the name of the node."""
-    found: dict[str, list[np.ndarray]] = {name: [np.empty(0, np.int64)] for name in KEY_SHIFTS}
+    return tiles_with(((corners, side, np.empty((len(corners), 0))) for corners, side in cubes))[0]
+
+
+def tiles_with(
+    cubes: Iterable[tuple[np.ndarray, int, np.ndarray]], row: tuple[int, ...] = (0,)
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return the places of the tiles of cubes, and their values, given those of the cubes, (n,
+    *row)."""
+    places: dict[str, list[np.ndarray]] = {name: [np.empty(0, np.int64)] for name in KEY_SHIFTS}
+    values: dict[str, list[np.ndarray]] = {name: [] for name in KEY_SHIFTS}
     sides = {"upper": UPPER_SIDE, "lower": LOWER_SIDE, "leaf": LEAF_SIDE}
-    for corners, side in cubes:
+    for corners, side, each in cubes:
         name, unit = next((name, unit) for name, unit in sides.items() if side >= unit)
         steps = keys_of(np.indices((side // unit,) * 3).reshape(3, -1).T * unit)
         keys = (keys_of(corners)[:, None] | steps).ravel()  # the corners are multiples of the side
-        found[name].append(keys >> KEY_SHIFTS[name][0])
-    return {name: np.sort(np.concatenate(parts)) for name, parts in found.items()}
+        places[name].append(keys >> KEY_SHIFTS[name][0])
+        values[name].append(np.repeat(each, len(steps), axis=0))
+    keys = {name: np.concatenate(parts) for name, parts in places.items()}
+    orders = {name: np.argsort(part) for name, part in keys.items()}
+    found = {
+        name: np.concatenate(parts)[orders[name]] if parts else np.empty((0, *row))
+        for name, parts in values.items()
+    }
+    return {name: part[orders[name]] for name, part in keys.items()}, found
 
 
 def parents_of(leaves: np.ndarray, tiles: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -123,23 +147,23 @@ def packed(data: bytes) -> bytes:
 
 
 def node_values(
-    power: int, children: np.ndarray, tiles: np.ndarray, inside: Inside, dtype: np.dtype
+    power: int, children: np.ndarray, tiles: np.ndarray, values: np.ndarray, active: bool
 ) -> bytes:
     """Return the masks and values of a node of 2**power children a side; the children and tiles
     are given by their places in the node."""
     held = bits_of(children, power)
     chosen = bits_of(tiles, power)
-    if not inside.active and len(tiles):  # inside is the background, negative
+    if not active and len(tiles):  # inside is the background, negative
         outside = (~np.frombuffer(chosen, np.uint8)).tobytes()
         selection = bytes([PLUS_OR_MINUS]) + outside
-        return held + bytes(len(held)) + selection + values_of(0, inside, dtype)
-    return held + chosen + bytes([ALL_PLUS]) + values_of(len(tiles), inside, dtype)
+        return held + bytes(len(held)) + selection + stored(values[:0])
+    return held + chosen + bytes([ALL_PLUS]) + stored(values)
 
 
-def values_of(count: int, inside: Inside, dtype: np.dtype) -> bytes:
-    """Return equal values of active cells or tiles, as the file holds them."""
-    data = np.full(count, inside.value, dtype).tobytes()
-    return data if dtype.kind == "b" else packed(data)
+def stored(values: np.ndarray) -> bytes:
+    """Return the values of active cells or tiles, as the file holds them."""
+    data = values.tobytes()
+    return data if values.dtype.kind == "b" else packed(data)
 
 
 def bits_of(places: np.ndarray, power: int) -> bytes:
@@ -153,17 +177,18 @@ def bits_of(places: np.ndarray, power: int) -> bytes:
 
 
 def write_tree(
-    file: BinaryIO, leaves: Leaves, tiles: dict[str, np.ndarray], inside: Inside, background: float
+    file: BinaryIO, leaves: Leaves, tiles: dict[str, np.ndarray], inside: Inside, background: Any
 ) -> int:
     """Write the topology of a tree, then the buffers of its leaves; return where those start."""
-    dtype = np.dtype(bool if leaves.values is None else "<f4")
+    if leaves.values is None:
+        inside = inside._replace(dtype=np.dtype(bool))
     lower, upper = parents_of(leaves.keys, tiles)
     file.write(struct.pack("<I", 1))  # buffers of a leaf
-    file.write(np.array(background, dtype).tobytes())
+    file.write(np.array(background, inside.dtype).tobytes())
     file.write(struct.pack("<II", len(tiles["upper"]), len(upper)))
-    for corner in upper_corners(tiles["upper"]):
-        value = np.array(inside.value, dtype).tobytes()
-        file.write(corner.tobytes() + value + bytes([inside.active]))
+    flat = inside.of("upper", slice(0, len(tiles["upper"])))
+    for corner, value in zip(upper_corners(tiles["upper"]), flat, strict=True):
+        file.write(corner.tobytes() + value.tobytes() + bytes([inside.active]))
     tops = zip(
         upper_corners(upper),
         groups_of(upper, lower, 3 * UPPER),
@@ -177,15 +202,14 @@ def write_tree(
     )
     for corner, children, flat in tops:
         mask = (1 << 3 * UPPER) - 1
-        nodes = node_values(
-            UPPER, lower[children] & mask, tiles["lower"][flat] & mask, inside, dtype
-        )
-        file.write(corner.tobytes() + nodes)
+        held, places = lower[children] & mask, tiles["lower"][flat] & mask
+        values = inside.of("lower", flat)
+        file.write(corner.tobytes() + node_values(UPPER, held, places, values, inside.active))
         mask = (1 << 3 * LOWER) - 1
         for _ in range(children.stop - children.start):
             held, flat = next(below)
-            places = leaves.keys[held] & mask
-            node = node_values(LOWER, places, tiles["leaf"][flat] & mask, inside, dtype)
+            keys, places = leaves.keys[held] & mask, tiles["leaf"][flat] & mask
+            node = node_values(LOWER, keys, places, inside.of("leaf", flat), inside.active)
             file.write(node + leaves.masks[held].tobytes())
     start = file.tell()
     _write_buffers(file, leaves)

@@ -70,9 +70,10 @@ def write(image: LevelSet, file: BinaryIO) -> None:
         "voxtool_units": vdb.Meta.text(image.source.units),
     }
     background = float(np.float32(image.background))
+    file.write(vdb.header_of(content_id(image)))
     vdb.write_grid(
-        file, vdb.header_of(vdb.NAMES["float32"], content_id(image)), ACTIVE_MASK | ZIP, metadata,
-        image.middle, image.pitch, leaves, tiles_of(inside), Inside(-background, False), background,
+        file, vdb.NAMES["float32"], ACTIVE_MASK | ZIP, metadata, image.middle, image.pitch, leaves,
+        tiles_of(inside), Inside(-background, False), background,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ MAGIC = 0x56444220
 OLDEST = 222  # the version whose nodes hold what these modules read
 TYPES = {"bool": "?", "float": "<f4", "double": "<f8", "int32": "<i4", "int64": "<i8"}
 TYPE = re.compile(r"Tree_(\w+)_5_4_3(_HalfFloat)?")
+OWN = "voxels"  # the first grid of voxtool's files, before those of attributes
 INSTANCES = "\x1e"  # before the number of a name that a file holds twice
 LEVEL_SET = Rule(below=0.0)  # inside is negative
 
@@ -85,12 +86,12 @@ def _entries(source: Source) -> list[Entry]:
 
 
 def _chosen(entries: list[Entry], name: str | None) -> Entry:
-    """Return the grid of a name, or the only one."""
+    """Return the grid of a name, or the only one, or in voxtool's own files that of the voxels."""
     names = printable(", ".join(dict.fromkeys(entry.name for entry in entries)))[:200] or "none"
     chosen = [entry for entry in entries if name is None or entry.name == name]
     if not chosen:
         raise FileError(f"holds no grid {name or ''}: its grids are {names}")
-    if name is None and len(chosen) > 1:
+    if name is None and len(chosen) > 1 and chosen[0].name != OWN:
         raise FileError(f"holds {len(chosen)} grids: choose one of {names}")
     return chosen[0]
 
