@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.choices import LABEL_STYLES, VOXEL_FACES
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.appearance import Appearance
@@ -16,6 +17,8 @@ from voxtool.svo.attribution.colours import plan_attributes
 from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
+from voxtool.svo.surface.extract import plan_extract
+from voxtool.svo.surface.labelled import plan_labelled
 from voxtool.svo.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
@@ -27,7 +30,7 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
-WORK = "mesh to octree with attributes"
+WORK, MESHES = "mesh to octree with attributes", "octree with attributes to meshes"
 DENSE_DIM = 128  # up to which labels are compared
 PARITY: dict[str, Any] = {"fill": "parity"}
 TOO_LARGE = {"wrong": f"labels are compared up to dim {DENSE_DIM}"}
@@ -35,12 +38,12 @@ TOO_LARGE = {"wrong": f"labels are compared up to dim {DENSE_DIM}"}
 
 def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model: its solid without and with labels of its shells; its surface without
-    attributes, with normals, and with colours of its vertices."""
+    attributes, with normals, and with colours of its vertices; and the meshes of these."""
     mesh = load_mesh(bench.model)
     painted = with_colours(mesh)
     for dim in bench.request.dims:
         grid = Grid.fit(mesh, dim)
-        row = partial(bench.point, WORK, label=f"dim {dim}", asked={"dims": dim}, size_of="voxels")
+        row = partial(bench.point, label=f"dim {dim}", asked={"dims": dim}, size_of="voxels")
         solid = partial(plan_voxelize, mesh, grid, "solid", **PARITY)
         labels = partial(plan_labels, mesh, grid, "solid", labels="shell", **PARITY)
         surface = partial(plan_voxelize, mesh, grid, "surface26")
@@ -64,9 +67,42 @@ def measure(bench: Bench) -> Iterator[Point]:
                 errors["wrong"] = float(octree.set_digest() != plain.set_digest())
             held = sum(attribute.nbytes for attribute in octree.attributes)
             yield row(
-                method, run=lambda device, plan=plan: plan(device=device).run(), errors=errors,
+                work=WORK, method=method, errors=errors,
+                run=lambda device, plan=plan: plan(device=device).run(),
                 absent=absent, bytes=octree.nbytes + held, size=octree.count,
             )  # fmt: skip
+            if octree.attributes and octree.attributes[0].name != "normal":
+                yield from surfaces(octree, partial(row, work=MESHES, size=octree.count))
+
+
+def surfaces(octree: Octree, row: Any) -> Iterator[Point]:
+    """The points of the surfaces of an octree with labels or colours, and of those without."""
+    for style in LABEL_STYLES:
+        single, what = partial(plan_extract, octree, style=style), octree.attributes[0].name
+        if what == "label":
+            yield row(
+                method=f"meshes of labels, {style}", errors=errors_of_meshes(octree, style),
+                run=lambda _, style=style: plan_labelled(octree, style=style).run(),
+            )  # fmt: skip
+        elif style == VOXEL_FACES:  # others need an inside
+            yield row(
+                method=f"surface with colours, {style}", errors={},
+                run=lambda device, single=single: single(device=device).run(),
+            )  # fmt: skip
+        else:
+            continue
+        yield row(
+            method=f"surface without {what}s, {style}", errors={},
+            run=lambda device, single=single: single(device=device).with_(colours=False).run(),
+        )  # fmt: skip
+
+
+def errors_of_meshes(octree: Octree, style: str) -> dict[str, float]:
+    """The meshes of labels that are not closed, and the volume that they all together lack."""
+    found = plan_labelled(octree, style=style).run().facts(check=True)
+    volume = sum(one["volume"] for one in found) / (octree.count * octree.grid.voxel_volume)
+    is_open = sum(not one["closed"] for one in found)
+    return {"wrong": is_open / octree.grid.dim**3, "volume": abs(volume - 1)}
 
 
 def with_colours(mesh: Mesh) -> Mesh:
