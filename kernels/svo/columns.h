@@ -26,11 +26,13 @@ columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
     int3 low, high;
     find_bounds(t, &low, &high);
     const int bits = FIXED_POINT_BITS + level;
-    if (kind == COVERED) { // cells of the lattice across x whose interior meets the bounding box
+    if (kind == COVERED || kind == MET) {
+        // cells of the lattice across x whose interior, or with MET whose square, meets the bounding box
+        const int more = kind == MET;
         c.axis = 0;
-        c.low = max(low >> bits, (int3)(0));
-        c.high = min((high - 1) >> bits, shape - 1);
-        if (low.x >> bits >= shape.x)
+        c.low = max((low - more) >> bits, (int3)(0));
+        c.high = min((high - 1 + more) >> bits, shape - 1);
+        if ((low.x - more) >> bits >= shape.x)
             c.high.y = c.low.y - 1; // beyond the high-x side: no column
     } else if (kind == CROSSED) { // rows of centres: the first and last voxel whose centre lies in the bounding box
         c.axis = 0;
@@ -52,7 +54,7 @@ columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
     const int2 size = c.high.xy - c.low.xy + 1;
     const int2 tiles = (max(size, (int2)(0)) + COLUMN_TILE - 1) / COLUMN_TILE;
     c.tiles_p = tiles.x;
-    c.tiles = (kind == CROSSED || kind == COVERED || c.low.z <= c.high.z) ? tiles.x * tiles.y : 0;
+    c.tiles = (kind == CROSSED || kind == COVERED || kind == MET || c.low.z <= c.high.z) ? tiles.x * tiles.y : 0;
     return c;
 }
 

@@ -104,7 +104,7 @@ def test_attributes_of_points(here: Path) -> None:
     voxtool.write_svo(octree, "parts.svo.h5")
     points = np.random.default_rng(7).random((500, 3)) * 44 - 2
     np.save("points.npy", points)
-    names = ("label", "colour", "normal", "fraction")
+    names = ("label", "colour", "normal", "fraction", "faces")
     found = voxtool.query_svo(octree, points, attributes=names)
     assert np.array_equal(found.contains, octree.contains(points))
     cells = np.floor(points).astype(int)

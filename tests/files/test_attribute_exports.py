@@ -13,6 +13,7 @@ from helpers_attributes import attributed, sizes
 from helpers_openvdb import openvdb
 
 import voxtool
+from voxtool.choices import FACE_NAMES
 from voxtool.errors import VoxtoolError
 from voxtool.files.formats import EXCHANGE
 from voxtool.grid import Grid
@@ -115,10 +116,11 @@ def test_vdb(options: dict[str, Any], tmp_path: Path) -> None:
     image = VoxelImage.of(octree, **options)
     shape = np.add(image.low, image.shape)
     part = tuple(slice(n, None) for n in image.low)
-    openvdb([("read", path, tmp_path / f"{n}.npz", *shape, n) for n in ("voxels", *KINDS)])
+    kinds = EXCHANGE["vdb"].kinds
+    openvdb([("read", path, tmp_path / f"{n}.npz", *shape, n) for n in ("voxels", *kinds)])
     whole = np.load(tmp_path / "voxels.npz")
     facts = json.loads(str(whole["facts"]))
-    for name in KINDS:
+    for name in kinds:
         read = np.load(tmp_path / f"{name}.npz")
         own = json.loads(str(read["facts"]))
         wanted = in_grids(name, dense_of(octree, name, **options))
@@ -175,7 +177,9 @@ def test_nvdb(level: int, tmp_path: Path) -> None:
 
     octree = octree_at_a_place()
     job = voxtool.plan_export(octree, tmp_path / "a.nvdb", level=level)
-    assert job.plan.left_out == {"attributes colour, normal": ".nvdb holds label and fraction"}
+    assert job.plan.left_out == {
+        "attributes colour, normal, faces": ".nvdb holds label and fraction"
+    }
     grids = grids_of(exported(octree, tmp_path / "a.nvdb", level=level))
     assert list(grids) == ["voxels", "label", "fraction"]
     for name in ("label", "fraction"):
@@ -236,7 +240,7 @@ def test_nii(name: str, ending: str, tmp_path: Path) -> None:
     found = np.asanyarray(image.dataobj)
     if name == "colour":
         found = np.stack([found[channel] for channel in "RGBA"], axis=-1)
-    if name == "normal":
+    if name in ("normal", "faces"):
         assert image.header.get_intent()[0] == "vector"
         found = found[:, :, :, 0]
     assert np.array_equal(found, wanted)
@@ -341,7 +345,8 @@ def test_points(tmp_path: Path) -> None:
     data = trimesh.load(tmp_path / "a.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
     places = tuple(np.argwhere(octree.to_dense()).T)
     columns = {"label": ["label"], "colour": ["red", "green", "blue", "alpha"],
-               "normal": ["nx", "ny", "nz"], "fraction": ["fraction"]}  # fmt: skip
+               "normal": ["nx", "ny", "nz"], "fraction": ["fraction"],
+               "faces": list(FACE_NAMES)}  # fmt: skip
     found = {
         name: np.stack([data[column] for column in own], axis=1) for name, own in columns.items()
     }
@@ -360,7 +365,7 @@ def test_one_array_is_the_label_unless_another_is_asked_for(tmp_path: Path) -> N
     for name in [name for name, each in EXCHANGE.items() if each.attributes == "one"]:
         plan = voxtool.plan_export(octree, tmp_path / f"a.{name}").plan
         assert plan.facts["attributes"] == ["label"]
-        assert list(plan.left_out) == ["attributes colour, normal, fraction"]
+        assert list(plan.left_out) == ["attributes colour, normal, fraction, faces"]
     plan = voxtool.plan_export(octree, tmp_path / "a.npy", attributes="none").plan
     assert "attributes" not in plan.facts
     assert plan.image.dtype == bool
@@ -371,9 +376,14 @@ def test_one_array_is_the_label_unless_another_is_asked_for(tmp_path: Path) -> N
 def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     octree = octree_at_a_place()
     plan = voxtool.plan_export(octree, tmp_path / "%04d.png").plan
-    assert plan.left_out == {"attributes label, colour, normal, fraction": "%04d.png holds none"}
+    assert plan.left_out == {
+        "attributes label, colour, normal, fraction, faces": "%04d.png holds none"
+    }
     plan = voxtool.plan_export(octree, tmp_path / "a.vdb").plan
-    assert plan.left_out == {"opacity of colours": ".vdb holds red, green and blue"}
+    assert plan.left_out == {
+        "attributes faces": ".vdb holds label and fraction and colour and normal",
+        "opacity of colours": ".vdb holds red, green and blue",
+    }
     plan = voxtool.plan_export(octree, tmp_path / "a.vti", invert=True).plan
     assert "--invert asks for other values" in next(iter(plan.left_out.values()))
 

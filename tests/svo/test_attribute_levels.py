@@ -66,6 +66,8 @@ def expected(attribute: Attribute, values: np.ndarray, is_set: Any, own: Any) ->
         if kind.kind != "f":
             return half_up(Fraction(sum(values[is_set].tolist()), is_set.size))
         return sum(Fraction(round(float(v) * 2**24), 2**24) for v in values[is_set]) / is_set.size
+    if name == "faces":
+        return [face_of(values[..., f], is_set, f // 2, -(f % 2)) for f in range(6)]
     if not own.any():
         return attribute.blank
     rows = values[own]
@@ -76,6 +78,21 @@ def expected(attribute: Attribute, values: np.ndarray, is_set: Any, own: Any) ->
     light = [[int(linear_table()[v]) for v in row[:3]] for row in rows]
     colour = [nearest_level(sum(column) // len(rows)) for column in zip(*light)]  # noqa: B905
     return [*colour, half_up(Fraction(sum(rows[:, 3].tolist()), len(rows)))]
+
+
+def face_of(values: np.ndarray, is_set: np.ndarray, axis: int, at: int) -> Fraction | int:
+    """The share of a face of a cell, of those of its voxels."""
+    shares, held = values.take(at, axis), is_set.take(at, axis)
+    if values.dtype.kind != "f":
+        return half_up(Fraction(sum(shares[held].tolist()), held.size))
+    return sum(Fraction(round(float(v) * 2**24), 2**24) for v in shares[held]) / Fraction(held.size)
+
+
+def whole_faces() -> Octree:
+    octree, rng = scattered(), np.random.default_rng(5)
+    voxels, leaves = sizes(octree)
+    values = [rng.integers(0, 256, (n, 6)).astype(np.uint8) for n in (voxels, leaves)]
+    return replace(octree, attributes=(Attribute("faces", *values),))
 
 
 def whole_numbers() -> Octree:
@@ -99,7 +116,8 @@ def few_colours() -> Octree:
 
 @pytest.mark.parametrize(
     ("octree", "name"),
-    [(attributed, name) for name in KINDS] + [(whole_numbers, "fraction"), (few_colours, "colour")],
+    [(attributed, name) for name in KINDS]
+    + [(whole_numbers, "fraction"), (whole_faces, "faces"), (few_colours, "colour")],
 )
 def test_cells_have_the_values_of_the_rules(octree: Any, name: str) -> None:
     tree = octree()

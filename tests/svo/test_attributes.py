@@ -90,7 +90,7 @@ def test_digests_cover_names_and_values() -> None:
 
 def test_attributes_that_do_not_fit_are_refused() -> None:
     octree = attributed()
-    label, _, normal, fraction = octree.attributes
+    label, _, normal, fraction, _ = octree.attributes
     for changed, message in (
         (replace(label, values=label.values[1:]), "values for .* voxels"),
         (replace(label, leaves=label.leaves[1:]), "values for .* leaves"),

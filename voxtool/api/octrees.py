@@ -86,6 +86,7 @@ def plan_voxelize(
     gap: int = 0,
     with_surface: bool = False,
     fraction_type: str | None = None,
+    face_fractions: bool = False,
     labels: str | Parts | None = None,
     priority: str | Sequence[str] = PRIORITIES[0],
     attributes: Sequence[str] = (),
@@ -126,6 +127,8 @@ def plan_voxelize(
     fraction_type
         for "fraction": "f4" (float32, the default), "u2" or "u1" (whole numbers, times 65,535 or
         255).
+    face_fractions
+        for "fraction": the attribute "faces" says how much of each face of a voxel is inside, too.
     labels
         the octree gets the attribute "label": by "part", "material" or "object" of the mesh, read
         with `load_mesh(path, keep=("parts",))`, by "shell", by the "file" of joined meshes, or by
@@ -187,11 +190,12 @@ def plan_voxelize(
                 "mode 'fraction' has no surface, gap, labels and attributes: drop them"
             )
         return plan_fractions(
-            found, placed, fill=fill, kind=fraction_type or FRACTION_TYPES[0], window=window,
-            device=device, max_memory=max_memory,
+            found, placed, fill=fill, kind=fraction_type or FRACTION_TYPES[0],
+            faces=face_fractions, window=window, device=device, max_memory=max_memory,
         )  # fmt: skip
-    if fraction_type is not None:
-        raise VoxtoolError(f"fraction_type goes with mode 'fraction', not {mode!r}")
+    if fraction_type is not None or face_fractions:
+        name = "face_fractions" if face_fractions else "fraction_type"
+        raise VoxtoolError(f"{name} goes with mode 'fraction', not {mode!r}")
     if labels is not None:
         if window is not None:
             raise VoxtoolError("labels take the whole grid: drop the window")

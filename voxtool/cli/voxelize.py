@@ -49,6 +49,8 @@ if TYPE_CHECKING:
     option("--fraction-type", FRACTION_TYPES,
         "Of stored fractions: float32, or whole numbers of 16 or 8 bits.  "
         f"[default: {FRACTION_TYPES[0]}]"),
+    flag("--face-fractions",
+        "With --mode fraction: also how much of each face of a voxel is inside (finite volumes)."),
     option("--fill", FILLS,
         "What is inside, for solid and fraction. parity: an odd number of crossings along x; "
         "nonzero: crossings that enter and leave do not cancel; winding: a winding number of 1/2 "
@@ -98,8 +100,8 @@ if TYPE_CHECKING:
     *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
 def command(
-    run: runner.Run, mesh: str, mode: str, fraction_type: str | None, fill: str, gap: int,
-    with_surface: bool,
+    run: runner.Run, mesh: str, mode: str, fraction_type: str | None,
+    face_fractions: bool, fill: str, gap: int, with_surface: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
     dag: bool, thin: bool, labels: str | None, priority: str | None, attributes: list[str] | None,
     colour: str | None, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
@@ -127,8 +129,9 @@ def command(
       voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
     """
     options.check_placing(like, placing)
-    if fraction_type and mode != FRACTION:
-        raise click.UsageError(f"--fraction-type goes with --mode {FRACTION}, not {mode}")
+    if (fraction_type or face_fractions) and mode != FRACTION:
+        name = "--face-fractions" if face_fractions else "--fraction-type"
+        raise click.UsageError(f"{name} goes with --mode {FRACTION}, not {mode}")
     if mode == FRACTION:
         given = {"--with-surface": with_surface, "--labels": labels, "--attributes": attributes,
                  "--dag": dag, "--dask": dask, "--resume": resume}  # fmt: skip
@@ -175,8 +178,8 @@ def command(
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job: Any
         if mode == FRACTION:
-            kind = fraction_type or FRACTION_TYPES[0]
-            job = run.plan(plan_fractions, loaded, grid, fill=fill, kind=kind)
+            request = {"kind": fraction_type or FRACTION_TYPES[0], "faces": face_fractions}
+            job = run.plan(plan_fractions, loaded, grid, fill=fill, **request)
         elif labels:
             request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
             job = run.plan(plan_labels, loaded, grid, mode, **request)

@@ -2,8 +2,8 @@
 
 Cells are in lexicographic order. A .ply of counts or coverages has them as the property `value`.
 Normals are float32: nx, ny and nz of a .ply, three more columns of .xyz. Attributes of voxels
-follow: the properties label, red, green, blue, alpha, nx, ny, nz and fraction, with the names of
-labels as comments; of .xyz the same columns.
+follow: the properties label, red, green, blue, alpha, nx, ny, nz, fraction and face_x0 to face_z1,
+with the names of labels as comments; of .xyz the same columns.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from voxtool.choices import FACE_NAMES
 from voxtool.errors import printable
 from voxtool.svo.attribute_image import AttributeImage, attributes_of
 from voxtool.svo.image import VoxelImage
@@ -21,7 +22,11 @@ HEADER = 256  # bytes of the header, at most
 LINE = 75  # bytes of a line of text, at most: three numbers of 24 letters
 NORMAL = 51  # of a normal in it, at most: three numbers of 16 letters
 NUMBER = 17  # of another number
-COLUMNS = {"colour": ("red", "green", "blue", "alpha"), "normal": ("nx", "ny", "nz")}
+COLUMNS = {
+    "colour": ("red", "green", "blue", "alpha"),
+    "normal": ("nx", "ny", "nz"),
+    "faces": FACE_NAMES,
+}
 TYPES = {
     "uint8": "uchar",
     "uint16": "ushort",

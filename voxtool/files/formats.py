@@ -113,6 +113,7 @@ EXCHANGE = {
         grids=True,
         whole=True,
         attributes="all",
+        kinds=("label", "fraction", "colour", "normal"),
         opacity=False,
     ),
     "vox": Exchange(

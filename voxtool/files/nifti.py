@@ -2,9 +2,9 @@
 
 World coordinates are those of the affine: x to the right, y to the front, z up (RAS). The affine is
 float32; an extension of code 6 (a comment) has the exact grid, another one the names of labels.
-Colours are of the type RGBA32, and normals are vectors along the fifth axis. Images that other
-programs write may have any axes along those of the world; `scl_slope` and `scl_inter` apply before
-a threshold.
+Colours are of the type RGBA32; normals and faces are vectors along the fifth axis. Images that
+other programs write may have any axes along those of the world; `scl_slope` and `scl_inter` apply
+before a threshold.
 https://nifti.nimh.nih.gov/nifti-1/documentation
 """
 
@@ -69,9 +69,10 @@ def size_packed(image: Dense) -> int:
 def write(image: Dense, file: BinaryIO) -> None:
     """Write the image."""
     _header(image).write_to(file)
-    for vector in range(3 if image.quantity == "normal" else 1):  # of which each axis is an array
+    numbers = _numbers(image)
+    for number in range(numbers or 1):  # of which each is an array
         for slab in image.slabs((2, 1, 0)):
-            values = slab[..., vector] if image.quantity == "normal" else slab
+            values = slab[..., number] if numbers else slab
             file.write(np.ascontiguousarray(values).view(np.uint8).data)
 
 
@@ -79,6 +80,11 @@ def write_packed(image: Dense, file: BinaryIO) -> None:
     """Write the image, compressed by gzip."""
     with gzip.GzipFile("", "wb", LEVEL, file, mtime=0) as packed:
         write(image, packed)  # pyright: ignore[reportArgumentType]
+
+
+def _numbers(image: Dense) -> int:
+    """Return the numbers of a vector; 0 of other values."""
+    return getattr(image, "channels", 1) if image.quantity in ("normal", "faces") else 0
 
 
 def _dtype(image: Dense) -> np.dtype:
@@ -93,9 +99,11 @@ def _header(image: Dense) -> Any:
 
     header = Nifti1Header(endianness="<")
     header.set_data_dtype(_dtype(image))
-    header.set_data_shape(image.shape if image.quantity != "normal" else (*image.shape, 1, 3))
+    header.set_data_shape(
+        (*image.shape, 1, numbers) if (numbers := _numbers(image)) else image.shape
+    )
     names = names_text(image)
-    if names or image.quantity == "normal":
+    if names or numbers:
         header.set_intent(LABEL if names else VECTOR)
     affine = np.diag([*image.pitch, 1.0])
     affine[:3, 3] = np.add(image.origin, np.array(image.pitch) / 2)

@@ -3,10 +3,10 @@
 voxels : (N, 3) int32, in lexicographic order; shape : (3,) int64; origin and pitch : (3,) float64.
 values : (N,), where the image is not one of bool. transform : (4,) float64, scale and offset of a
 normalized mesh. Attributes of the set cells: label : (N,), colour : (N, 4), normal : (N, 3),
-fraction : (N,), and label_names, the names by number. Voxel (i, j, k) has its low corner at origin
-+ pitch (i, j, k). The samples of a field are a dense array `distance` instead of the list, labels
-an array `label`. Of other programs, an array of three axes is read, dense; without a grid beside
-it, it has no place.
+fraction : (N,), faces : (N, 6), and label_names, the names by number. Voxel (i, j, k) has its low
+corner at origin + pitch (i, j, k). The samples of a field are a dense array `distance` instead of
+the list, labels an array `label`. Of other programs, an array of three axes is read, dense; without
+a grid beside it, it has no place.
 """
 
 from __future__ import annotations

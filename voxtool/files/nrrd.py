@@ -2,8 +2,8 @@
 
 World coordinates are x to the right, y to the front, z up (RAS), as in NIfTI: those of an image in
 another anatomical space are turned. Positions are those of centres; the key `voxtool grid` has the
-exact grid, and `voxtool labels` the names of labels as JSON. Channels of colours and normals are
-the first axis. Detached headers, which name another file, are refused.
+exact grid, and `voxtool labels` the names of labels as JSON. Channels of colours, normals and
+faces are the first axis. Detached headers, which name another file, are refused.
 https://teem.sourceforge.net/nrrd/format.html
 """
 
@@ -37,7 +37,7 @@ HEADER = 1024  # bytes before the array, at most
 MOST_HEADER = 1 << 20
 LEVEL = 6  # of gzip
 GRID, LABELS = "voxtool grid", "voxtool labels"
-KINDS = {4: "RGBA-color", 3: "3-normal"}  # of the axis of channels
+KINDS = {4: "RGBA-color", 3: "3-normal", 6: "list"}  # of the axis of channels
 TYPES = {
     "i1": ("signed char", "int8", "int8_t"),
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),

@@ -4,7 +4,7 @@ Array 0 has the cells of the image, each further one cells twice as large, until
 them all. Values are the share of a cell's voxels that are set; chunks of zeros are not stored. A
 transformation places the centre of a cell; the group's attribute GRID has the exact grid. Labels
 of voxels are the label image labels/label with names and colours; other attributes are images of
-their own in the folder, colours and normals with channels first.
+their own in the folder, colours, normals and faces with channels first.
 https://ngff.openmicroscopy.org/0.4/
 """
 

@@ -1,8 +1,8 @@
 """TIFF stacks, .tif: one page a layer of cells, [z, y, x] without mirroring, deflated.
 
 Cells of bool have one bit. The description is OME-XML, which says the spacing; a private tag has
-the exact grid. Colours have four samples a pixel, normals three; the names of labels are an
-annotation of the OME-XML. BigTIFF where 4 GiB may not do.
+the exact grid. Colours have four samples a pixel, normals three, faces six; the names of labels are
+an annotation of the OME-XML. BigTIFF where 4 GiB may not do.
 https://docs.openmicroscopy.org/ome-model/6.3.1/ome-tiff/specification.html
 """
 
@@ -97,7 +97,7 @@ def write(image: Dense, file: BinaryIO, axis: str = "z", dpi: float | None = Non
     tifffile.imwrite(
         file,
         (layer for slab in image.slabs(order) for layer in slab),
-        shape=shape, dtype=image.dtype, photometric="minisblack" if channels == 1 else "rgb",
+        shape=shape, dtype=image.dtype, photometric="rgb" if channels in (3, 4) else "minisblack",
         planarconfig=None if channels == 1 else "contig", compression="zlib",
         extrasamples=["unassalpha"] if channels == 4 else None,
         rowsperstrip=y, metadata=None, description=text.encode(), software="voxtool",

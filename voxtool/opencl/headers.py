@@ -29,7 +29,7 @@ HOMES = {
     "spatial/nearest_packets.h": "voxtool.spatial.distance",
     "spatial/self_intersections.h": "voxtool.spatial.self_intersections",
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
-    "svo/attribution/fraction.h": "voxtool.svo.attribution.fraction",
+    "svo/attribution/fraction.h": "voxtool.svo.attribution.fraction_rows",
     "svo/attribution/paint.h": "voxtool.svo.attribution.paint",
     "svo/attribution/pieces.h": "voxtool.svo.attribution.pieces",
     "svo/attribution/colours.h": "voxtool.svo.attribution.colours",

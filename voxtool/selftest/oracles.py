@@ -255,6 +255,38 @@ def filled(triangles: Iterable, cell: Sequence[int]) -> Fraction:
     return total / 6
 
 
+def filled_face(
+    triangles: Iterable, cell: Sequence[int], axis: int, turned: bool = False
+) -> Fraction:
+    """The integral of the winding number over the face between a voxel and the one before it along
+    an axis: the signed area of all that lies before it. Of what lies in its plane, that counts
+    which ends the inside; `turned`: of a mesh that is inside out."""
+    total = Fraction(0)
+    p, q = (axis + 1) % 3, (axis + 2) % 3
+    for triangle in polygons(triangles):
+        part = [[Fraction(v, UNIT) - c for v, c in zip(p, cell, strict=True)] for p in triangle]
+        flat = all(corner[axis] == 0 for corner in part)
+        for along, side, bound in ((axis, -1, 0), (p, 1, 0), (p, -1, 1), (q, 1, 0), (q, -1, 1)):
+            part = _half(part, along, side, bound)
+        area = Fraction(0)
+        for one, other in zip(part, part[1:] + part[:1], strict=True):
+            area += one[q] * other[p] - one[p] * other[q]
+        if not flat or (area > 0 if turned else area < 0):
+            total += area / 2
+    return total
+
+
+def _half(polygon: list[list[Fraction]], axis: int, side: int, bound: int) -> list[list[Fraction]]:
+    """The part of a convex polygon with side * (coordinate - bound) >= 0."""
+    found = []
+    for one, other in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        a, b = (side * (corner[axis] - bound) for corner in (one, other))
+        found += [one] * (a >= 0)
+        if a * b < 0:
+            found.append([u + a / (a - b) * (v - u) for u, v in zip(one, other, strict=True)])
+    return found
+
+
 def _six_volumes(tetrahedron: list[list[Fraction]]) -> Fraction:
     a, b, c = (
         [p - q for p, q in zip(corner, tetrahedron[0], strict=True)] for corner in tetrahedron[1:]

@@ -9,7 +9,8 @@ A cell of level 0 is a voxel, and has its value. Above, a cell has
   up;
 - as normal the sum of the normals of its voxels, as a unit vector, or 0 0 0;
 - as fraction the mean over all its voxels, of which unset ones have 0: whole numbers are rounded to
-  the nearest, halves up.
+  the nearest, halves up;
+- as share of a face the mean over the faces of voxels that lie in it, in the same way.
 
 Sums are of integers, so no order shows: normals and fractions of float32 are counted in units of
 2**-24, as light is; in octrees of more than 8192 voxels a side (normals 4096) in those that 64 bits
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.mesh import srgb
+from voxtool.morton import morton_decode
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.counts import BRICK_POWER
 from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
@@ -169,9 +171,10 @@ def _tally_of(attribute: Attribute, side: int) -> Any:
     """Return the functions of the tallies of an attribute, in a cube of `side` voxels."""
     if attribute.name == "label":
         return _Votes(attribute)
-    return {"colour": _Colours, "normal": _Normals, "fraction": _Fractions}[attribute.name](
-        attribute, side
-    )
+    kinds: Any = {
+        "colour": _Colours, "normal": _Normals, "fraction": _Fractions, "faces": _Faces,
+    }  # fmt: skip
+    return kinds[attribute.name](attribute, side)
 
 
 class _Votes:
@@ -338,6 +341,38 @@ class _Fractions(_Sums):
         if self.dtype.kind != "f":
             return _rounded(sums, np.array(volume, self.wide))
         return sums.astype(np.float64) / (float(volume) * self.unit)
+
+
+class _Faces(_Fractions):
+    """Of the faces of a cell: sums over those of voxels that lie in them."""
+
+    def of_voxels(self, values: np.ndarray, set_: np.ndarray, own: np.ndarray) -> Any:
+        within = values.reshape(*set_.shape, self.channels) * _in_faces(set_.shape[1])
+        return super().of_voxels(within.astype(self.dtype), set_, own)
+
+    def of_leaves(self, values: np.ndarray, volume: int, own: bool) -> Any:
+        return super().of_leaves(values, _face_of(volume), own)
+
+    def above(
+        self, n: int, refined: np.ndarray, below: Any, inside: np.ndarray, leaves: Any
+    ) -> Any:
+        within = below.reshape(-1, CHILDREN, self.channels + 2).copy()
+        within[..., :-2] *= _in_faces(CHILDREN).astype(self.wide)
+        return super().above(n, refined, within, inside, leaves)
+
+    def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
+        return super().means(sums, counts, _face_of(volume))
+
+
+def _in_faces(n: int) -> np.ndarray:
+    """Return which faces of a cube each of its n cells lies in, (n, 6) bool, in Morton order."""
+    at = morton_decode(np.arange(n, dtype=np.uint64))
+    return np.stack([at == 0, at == at.max()], axis=2).reshape(n, -1)
+
+
+def _face_of(volume: int) -> int:
+    """Return the faces of voxels in a face of a cube of so many voxels."""
+    return round(volume ** (1 / 3)) ** 2
 
 
 def _bits_left(side: int, bits: int) -> int:

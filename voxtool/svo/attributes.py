@@ -36,6 +36,9 @@ KINDS = {
     "fraction": Kind(
         0, ("u1", "u2", "f4"), "share of the voxel inside; of whole numbers, times the largest one"
     ),
+    "faces": Kind(
+        6, ("u1", "u2", "f4"), "shares of its faces inside: at low x, high x, low y, ..., high z"
+    ),
 }
 
 
@@ -215,6 +218,6 @@ def _check_range(where: str, attribute: Attribute, array: np.ndarray) -> None:
     if attribute.name == "label" and int(array.max()) >= len(attribute.names):
         raise FileError(f"{where}: {int(array.max())} where there are {len(attribute.names)} names")
     if array.dtype.kind == "f":
-        least = 0 if attribute.name == "fraction" else -1
+        least = -1 if attribute.name == "normal" else 0
         if not ((array >= least) & (array <= 1)).all():
             raise FileError(f"{where}: a number that is not from {least} to 1")

@@ -78,6 +78,8 @@ class OctreeAnswers(Data):
     normal : (N, 3) float32, or None
     fraction : (N,) float64, or None
         The share of the voxel inside, from 0 to 1.
+    faces : (N, 6) float64, or None
+        The shares of its faces inside: at low x, high x, low y, high y, low z, high z.
     """
 
     contains: np.ndarray
@@ -89,6 +91,7 @@ class OctreeAnswers(Data):
     colour: np.ndarray | None = None
     normal: np.ndarray | None = None
     fraction: np.ndarray | None = None
+    faces: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Leave the arrays writable: they are the caller's own."""
@@ -254,7 +257,7 @@ def _shown(name: str, values: np.ndarray, contains: np.ndarray) -> np.ndarray:
     """Return the values of an attribute as answers have them."""
     if name == "label":
         return np.where(contains, values.astype(np.int64), -1)
-    if name == "fraction":
+    if name in ("fraction", "faces"):
         whole = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
         return values.astype(np.float64) / whole
     return values

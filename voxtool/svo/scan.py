@@ -29,7 +29,7 @@ from voxtool.svo.layout import BRICK, BRICK_SIDE
 from voxtool.svo.plan import CELL, NODE_BLOCK, VoxelizePlan
 
 SOURCE = "svo/scan.cl"
-TOUCHED, SEPARATING, CROSSED, COVERED = range(4)  # what a triangle is scan-converted into
+TOUCHED, SEPARATING, CROSSED, COVERED, MET = range(5)  # what a triangle is scan-converted into
 NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, NODE_BLOCK.bit_length() - 1
 BLOCK_WORDS = (NODE_BLOCK // CELL) ** 3 // 32
 HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
@@ -51,6 +51,7 @@ HEADERS = {
         SEPARATING=SEPARATING,
         CROSSED=CROSSED,
         COVERED=COVERED,
+        MET=MET,
         NODE_LEVEL=NODE_LEVEL,
         NODE_BLOCK=NODE_BLOCK,
     ),

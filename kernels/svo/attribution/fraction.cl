@@ -3,16 +3,16 @@
 //
 // Along a row of voxels, towards high x, a triangle begins or ends what is inside. Its part in a voxel
 // has a signed area, across x, and a volume between the part and the voxel's high-x side. The volume
-// of a voxel that lies inside is this volume and the areas of all parts in the voxels before it. Both
-// are rounded to whole numbers of 2^-UNIT_BITS, so that their sums do not depend on an order.
+// of a voxel that lies inside is this volume and the areas of all parts in the voxels before it. These
+// areas alone are the area of the face between two voxels that lies inside; so are those across y and z
+// along the rows of these axes. All are rounded to whole numbers of 2^-UNIT_BITS, so that their sums do
+// not depend on an order.
 
 #include "svo/columns.h"
 #include "svo/attribution/fraction.h"
 
 #define UNITS ((double)(1ul << UNIT_BITS))
-#define ONE (1l << UNIT_BITS) // a whole voxel, and a whole face of one
-#define CORNERS 9             // a triangle's part in a cube has no more
-#define UNTOUCHED 0xFFFFFFFFu
+#define CORNERS 9 // a triangle's part in a cube has no more
 
 // ---- parts of triangles
 
@@ -52,13 +52,16 @@ void find_range(const polygon *p, int axis, double *low, double *high)
     }
 }
 
-// The first and last voxel along an axis whose interior meets the polygon, or that a flat one lies in.
-int2 voxels_along(const polygon *p, int axis)
+// The first and last voxel along an axis whose interior meets the polygon. A flat one on a side between
+// two voxels lies in the one that is inside: in the lower one if it `ends` the inside along the axis.
+int2 voxels_along(const polygon *p, int axis, bool ends)
 {
     double low, high;
     find_range(p, axis, &low, &high);
     const int first = (int)low >> FIXED_POINT_BITS, end = (int)high, last = end >> FIXED_POINT_BITS;
     const bool on_side = (double)(last << FIXED_POINT_BITS) == high;
+    if (on_side && ends && low == high)
+        return (int2)(first - 1);
     return (int2)(first, max(first, last - on_side));
 }
 
@@ -75,19 +78,24 @@ const polygon *cut_slab(const polygon *p, int axis, int voxel, int2 range, polyg
 
 long rounded(double value) { return (long)(value * UNITS + (value < 0 ? -0.5 : 0.5)); }
 
-// The signed area of a polygon across x, in faces of a voxel, and the volume between it and the plane
-// x = high, in voxels.
-void measure(const polygon *p, double high, double *area, double *volume)
+// The signed areas of a polygon across x, y and z, in faces of a voxel; returns the volume between it
+// and the plane x = high, in voxels.
+double measure(const polygon *p, double high, double areas[3])
 {
-    const double x = p->at[0][0], y = p->at[1][0], z = p->at[2][0];
-    double twice = 0, moment = 0;
+    double twice[3] = {0, 0, 0}, moment = 0;
     for (int i = 1; i + 1 < p->n; ++i) {
-        const double own = (p->at[2][i] - z) * (p->at[1][i + 1] - y) - (p->at[1][i] - y) * (p->at[2][i + 1] - z);
-        twice += own;
-        moment += own * ((high - x) + (high - p->at[0][i]) + (high - p->at[0][i + 1]));
+        double own[3];
+        for (int a = 0; a < 3; ++a) {
+            const int b = a < 2 ? a + 1 : 0, c = a > 0 ? a - 1 : 2;
+            own[a] = (p->at[c][i] - p->at[c][0]) * (p->at[b][i + 1] - p->at[b][0]) -
+                     (p->at[b][i] - p->at[b][0]) * (p->at[c][i + 1] - p->at[c][0]);
+            twice[a] += own[a];
+        }
+        moment += own[0] * ((high - p->at[0][0]) + (high - p->at[0][i]) + (high - p->at[0][i + 1]));
     }
-    *area = twice / (2.0 * VOXEL * VOXEL);
-    *volume = moment / (6.0 * VOXEL * VOXEL * VOXEL);
+    for (int a = 0; a < 3; ++a)
+        areas[a] = twice[a] / (2.0 * VOXEL * VOXEL);
+    return moment / (6.0 * VOXEL * VOXEL * VOXEL);
 }
 
 // ---- sums of the parts in touched voxels
@@ -130,18 +138,43 @@ uint number_of(ACTIVE_SET_PARAMETERS, VOXELS, uint3 voxel, uint3 *cell, uint *no
     return touched[word] & bit ? firsts[word] + popcount(touched[word] & (bit - 1)) : UNTOUCHED;
 }
 
-// Add the area and the volume of each triangle's part in each voxel to the voxel's sums. Areas before
-// x = 0 are added to the rows' states on entry. A part may lie as near to a side of its voxel that
-// rounding took it there from the next voxel, which is touched.
-__kernel void add_parts(TRIANGLES, ACTIVE_SET_PARAMETERS, VOXELS, volatile __global uint *sums,
+// Move a voxel that is not touched, as rounding took a part across a side of the next one: along the
+// axis in which the part is thinnest, which is returned, towards the side that is near; false if there
+// is no voxel.
+bool move_to_touched(const polygon *p, int3 shape, int3 first, int3 *voxel, int *axis)
+{
+    double least = 0, from = 0;
+    for (int a = 0; a < 3; ++a) {
+        double low, high;
+        find_range(p, a, &low, &high);
+        if (a == 0 || high - low < least) {
+            least = high - low;
+            *axis = a;
+            from = low;
+        }
+    }
+    int3 own = swizzle(*voxel, *axis);
+    const int begin = (own.z - swizzle(first, *axis).z) << FIXED_POINT_BITS;
+    own.z += from < begin + HALF ? -1 : 1;
+    *voxel = unswizzle(own, *axis);
+    return own.z >= 0 && own.z < swizzle(shape, *axis).z;
+}
+
+// Add the area and the volume of each triangle's part in each voxel to the voxel's sums, and the areas
+// across y and z to those of `across`. Areas before x = 0 are added to the rows' states on entry.
+// Columns are those of `kind`. `turned` says that the mesh is inside out.
+__kernel void add_parts(TRIANGLES, const int kind, const uint turned, ACTIVE_SET_PARAMETERS, VOXELS,
+                        volatile __global uint *sums, volatile __global uint *across,
                         volatile __global uint *entry)
 {
     triangle t;
     columns c;
-    if (!take_share(THESE_TRIANGLES, COVERED, &t, &c))
+    if (!take_share(THESE_TRIANGLES, kind, &t, &c))
         return;
-    if (cross_term(t.v[1].y - t.v[0].y, t.v[2].z - t.v[0].z, t.v[2].y - t.v[0].y, t.v[1].z - t.v[0].z) == 0)
+    const long3 normal = cross_of(t.v[1] - t.v[0], t.v[2] - t.v[0]);
+    if (normal.x == 0 && !across)
         return; // parallel to x
+    const int3 ends = convert_int3(turned ? normal < 0 : normal > 0); // the inside, along each axis
     int3 low, high;
     find_bounds(&t, &low, &high);
     const int3 first = low >> FIXED_POINT_BITS;
@@ -155,168 +188,53 @@ __kernel void add_parts(TRIANGLES, ACTIVE_SET_PARAMETERS, VOXELS, volatile __glo
     }
     uint3 cell = (uint3)(UNTOUCHED);
     uint node = UNTOUCHED;
-    const int2 along_z = voxels_along(&whole, 2);
+    const int2 along_z = voxels_along(&whole, 2, ends.z);
     for (int k = max(along_z.x, c.low.y - first.z); k <= min(along_z.y, c.high.y - first.z); ++k) {
         const polygon *in_row = cut_slab(&whole, 2, k, along_z, &spare, &row);
         if (in_row->n < 3)
             continue;
-        const int2 along_y = voxels_along(in_row, 1);
+        const int2 along_y = voxels_along(in_row, 1, ends.y);
         for (int j = max(along_y.x, c.low.x - first.y); j <= min(along_y.y, c.high.x - first.y); ++j) {
             const polygon *in_column = cut_slab(in_row, 1, j, along_y, &spare, &column);
             if (in_column->n < 3)
                 continue;
-            const int2 along_x = voxels_along(in_column, 0);
+            const int2 along_x = voxels_along(in_column, 0, ends.x);
             const int before = -1 - first.x, begin = max(along_x.x, before);
             const int end = min(max(along_x.y, before), shape.x - 1 - first.x);
             for (int i = begin; i <= end; ++i) {
                 const int x = first.x + i;
                 const int2 range = (int2)(x < 0 ? i : along_x.x, along_x.y);
                 const polygon *own = cut_slab(in_column, 0, i, range, &spare, &part);
-                double area, volume;
-                measure(own, (double)((i + 1) << FIXED_POINT_BITS), &area, &volume);
-                const long whole_area = rounded(area);
+                double areas[3];
+                const double volume = measure(own, (double)((i + 1) << FIXED_POINT_BITS), areas);
+                const long area = rounded(areas[0]);
                 if (x < 0) {
                     if (entry)
-                        add(entry + 2 * ((size_t)(first.z + k) * shape.y + (first.y + j)), whole_area);
+                        add(entry + 2 * ((size_t)(first.z + k) * shape.y + (first.y + j)), area);
                     continue;
                 }
                 long whole_volume = rounded(volume);
-                if (whole_area == 0 && whole_volume == 0)
+                if (area == 0 && whole_volume == 0 && !across)
                     continue;
-                uint3 voxel = (uint3)(x, first.y + j, first.z + k);
-                uint number = number_of(ACTIVE_SET, THESE_VOXELS, voxel, &cell, &node);
-                if (number == UNTOUCHED) {
-                    const bool at_low = abs(2 * whole_volume) > abs(whole_area);
-                    voxel.x += at_low ? -1 : 1;
-                    if ((int)voxel.x < 0 || (int)voxel.x >= shape.x)
+                int3 voxel = (int3)(x, first.y + j, first.z + k);
+                uint number = number_of(ACTIVE_SET, THESE_VOXELS, as_uint3(voxel), &cell, &node);
+                if (number == UNTOUCHED && own->n > 2) {
+                    int axis;
+                    if (!move_to_touched(own, shape, first, &voxel, &axis))
                         continue;
-                    whole_volume = at_low ? 0 : whole_area;
-                    number = number_of(ACTIVE_SET, THESE_VOXELS, voxel, &cell, &node);
+                    if (axis == 0)
+                        whole_volume = voxel.x < x ? 0 : area;
+                    number = number_of(ACTIVE_SET, THESE_VOXELS, as_uint3(voxel), &cell, &node);
                 }
-                if (number != UNTOUCHED) {
-                    add(sums + 4 * (size_t)number, whole_area);
-                    add(sums + 4 * (size_t)number + 2, whole_volume);
+                if (number == UNTOUCHED)
+                    continue;
+                add(sums + 4 * (size_t)number, area);
+                add(sums + 4 * (size_t)number + 2, whole_volume);
+                if (across) {
+                    add(across + 4 * (size_t)number, rounded(areas[1]));
+                    add(across + 4 * (size_t)number + 2, rounded(areas[2]));
                 }
             }
         }
     }
-}
-
-// ---- rows
-
-#define MAX_LEVELS 16
-
-// The share of a voxel that is inside, from the integral of its winding number.
-long share_of(long sum, uint rule)
-{
-    if (rule == PARITY) { // 0 at even numbers, 1 at odd ones, and linear between
-        const long rest = sum & (2 * ONE - 1);
-        return min(rest, 2 * ONE - rest);
-    }
-    return clamp(rule == NONZERO && sum < 0 ? -sum : sum, 0l, ONE);
-}
-
-// The winding number after touched voxels, where a row has none: that of the sum or, if it is no whole
-// number or contradicts the rule, what the rule says.
-long number_after(long sum, bool inside, uint rule, uint *wrong)
-{
-    const long number = (sum + ONE / 2) >> UNIT_BITS, whole = number << UNIT_BITS;
-    const bool by_sum = rule == PARITY ? number & 1 : rule == NONZERO ? number != 0 : number > 0;
-    if (by_sum == inside && abs(sum - whole) <= CLOSED)
-        return whole;
-    ++*wrong;
-    return inside ? ONE : 0;
-}
-
-// The rows along x of a quadrant of a level-1 node's bricks, from the two bricks on: bit places of
-// x = 0 in a brick.
-#define X_VOXELS 0x303ul
-
-// Traverse the octree along a bundle of 8 x 8 rows and turn sums into shares of touched voxels, in
-// units of 1 / WHOLE. The bricks, of the rule's voxels, become those that have a share; `partial` are
-// those whose share is neither 0 nor WHOLE. `wrong` counts the places where sums and rule disagree.
-__kernel void sum_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
-                       const int3 shape, const uint n, const uint rule, __global const long *entry,
-                       __global const ulong *touched, __global const uint *firsts,
-                       __global const long *sums, __global ulong *bricks, __global ulong *partial,
-                       __global uint *shares, volatile __global uint *wrong)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const uint bundles_y = (uint)(shape.y + 7) / 8, y = gid % bundles_y, z = gid / bundles_y;
-    long sum[64];
-    for (uint row = 0; row < 64; ++row) {
-        const uint j = 8 * y + (row & 7), k = 8 * z + (row >> 3);
-        sum[row] = entry && j < (uint)shape.y && k < (uint)shape.z ? entry[(size_t)k * shape.y + j] : 0;
-    }
-    ulong moved = entry ? ~0ul : 0; // rows whose sums are those of a touched voxel, or of the entry
-    uint found = 0;
-    const uint end = (uint)(shape.x + 7) / 8;
-    uint path[MAX_LEVELS]; // the nodes that contain cell (x, y, z), by level
-    path[top] = 0;
-    uint x = 0, level = top;
-    while (x < end) {
-        uint child = nodes[offsets[top - level] + path[level]].child;
-        while (level > 1 && (child & VALID)) {
-            --level;
-            const uint shift = level - 1;
-            path[level] = (child & LINK) | ((x >> shift) & 1) | ((y >> shift) & 1) << 1 |
-                          ((z >> shift) & 1) << 2;
-            child = nodes[offsets[top - level] + path[level]].child;
-        }
-        uint next;
-        if (child & VALID) {
-            next = x + 1;
-            const uint last = min(8u, (uint)shape.x - 8 * x);
-            for (uint o = 0; o < 4; ++o) {
-                const size_t pair = (child & LINK) + 2 * o;
-                const ulong any = touched[pair] | touched[pair + 1];
-                ulong set[2] = {0, 0}, part[2] = {0, 0};
-                for (uint inner = 0; inner < 16; ++inner) {
-                    const uint j = inner & 3, k = inner >> 2;
-                    const uint row = (4 * (o & 1) + j) + 8 * (4 * (o >> 1) + k);
-                    const uint at = (j & 1) << 1 | (j >> 1) << 4 | (k & 1) << 2 | (k >> 1) << 5;
-                    if (!(any >> at & X_VOXELS) && !(moved >> row & 1))
-                        continue;
-                    long own = sum[row];
-                    bool after = moved >> row & 1;
-                    for (uint i = 0; i < last; ++i) {
-                        const size_t brick = pair + (i >> 2);
-                        const uint bit = at + (i & 1) + 8 * (i >> 1 & 1), word_of = bit >> 5;
-                        if (touched[brick] >> bit & 1) {
-                            const uint word = (uint)(touched[brick] >> (32 * word_of));
-                            const uint number = firsts[2 * brick + word_of] + popcount(word & ((1u << (bit & 31)) - 1));
-                            const long share = share_of(own + sums[2 * (size_t)number + 1], rule);
-                            const uint stored = (uint)((share + (ONE / WHOLE) / 2) / (ONE / WHOLE));
-                            own += sums[2 * (size_t)number];
-                            shares[number] = stored;
-                            set[i >> 2] |= (ulong)(stored > 0) << bit;
-                            part[i >> 2] |= (ulong)(stored > 0 && stored < WHOLE) << bit;
-                            after = true;
-                        } else if (after) {
-                            own = number_after(own, bricks[brick] >> bit & 1, rule, &found);
-                            after = false;
-                        }
-                    }
-                    sum[row] = own;
-                    moved = (moved & ~(1ul << row)) | (ulong)after << row;
-                }
-                for (uint i = 0; i < 2; ++i) {
-                    bricks[pair + i] = (bricks[pair + i] & ~touched[pair + i]) | set[i];
-                    partial[pair + i] = part[i];
-                }
-            }
-        } else {
-            next = (x | ((1u << (level - 1)) - 1)) + 1;
-            for (uint row = 0; row < 64 && moved; ++row)
-                if (moved >> row & 1)
-                    sum[row] = number_after(sum[row], child & INSIDE, rule, &found);
-            moved = 0;
-        }
-        level = min(33 - clz(x ^ next), top);
-        x = next;
-    }
-    if (found)
-        atomic_add(wrong, found);
 }

@@ -12,7 +12,8 @@ triangle touches:
 1. Touched voxels: those of the 26-separating surface, numbered in the order of the bits.
 2. Parts: each triangle is clipped to columns of voxels, and its part in a column to the voxels
    there, in float64; area and volume are rounded to 2**-40 and added in integers.
-3. Sums along rows: each gives the volumes of its touched voxels, rounded to 2**-31.
+3. Sums along rows (fraction_rows.py): each gives the volumes of its touched voxels, rounded to
+   2**-31; on request rows along x, y and z give the areas of their faces, too.
 
 Holes of an open mesh are closed by the caps of fill/caps.py, which count as its faces.
 
@@ -33,31 +34,24 @@ from voxtool.errors import MeshError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
-from voxtool.opencl import Array, Device, program
+from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.attributes import Attribute
+from voxtool.svo.attribution.fraction_rows import FACES, Parts, Shares, sum_rows
 from voxtool.svo.layout import BRICK
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
-from voxtool.svo.scan import COVERED, TOUCHED, ActiveNodes, Scan, add_nodes
+from voxtool.svo.scan import COVERED, MET, TOUCHED, ActiveNodes, Scan, add_nodes
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.stored_volume import WHOLE
 from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
 
 SOURCE = "svo/attribution/fraction.cl"
-UNIT_BITS = 40  # areas and volumes are whole numbers of 2**-40 of a face and of a voxel
-CLOSED = 1 << 16  # units by which areas of a closed mesh, which are rounded, may miss whole faces
-PARITY, NONZERO, WINDING = range(3)
-RULES = {"parity": PARITY, "nonzero": NONZERO, "winding": WINDING}
-HEADERS = {
-    "svo/attribution/fraction.h": program.c_constants(
-        UNIT_BITS=UNIT_BITS, WHOLE=WHOLE, CLOSED=CLOSED, PARITY=PARITY, NONZERO=NONZERO
-    )
-}
 TYPES = {kind: np.dtype(f"<{kind}") for kind in FRACTION_TYPES}
 MODE = "solid+fraction"  # of the octree
 MESH_VOLUME = "mesh_volume_voxels"  # in the plan that is stored
 VOXEL_BYTES = 4 * 4 + 4  # of a touched voxel: its sums and its share
+FACE_BYTES = 4 * 4 + 4 * FACES  # more with faces: sums across y and z, and the shares of faces
 
 
 def plan_fractions(
@@ -66,6 +60,7 @@ def plan_fractions(
     *,
     fill: str = FILLS[0],
     kind: str = FRACTION_TYPES[0],
+    faces: bool = False,
     window: Window | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
@@ -83,7 +78,7 @@ def plan_fractions(
         )
     solid.device.require_float64("fractions")
     caps = (solid.plan.holes, solid.plan.caps)
-    return FractionJob(solid.capped(), FractionPlan(solid.plan, kind, caps))
+    return FractionJob(solid.capped(), FractionPlan(solid.plan, kind, caps, faces))
 
 
 def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
@@ -112,6 +107,7 @@ class FractionPlan:
     solid: VoxelizePlan
     kind: str
     caps: tuple[int, int] = (0, 0)  # holes that were closed, and the triangles that close them
+    faces: bool = False  # whether faces of voxels have shares, too
 
     @property
     def stages(self) -> list[str]:
@@ -124,6 +120,8 @@ class FractionPlan:
         left = {**self.solid.left_out}
         left.pop("surface voxels", None)
         left["values of whole voxels"] = "only cut voxels store one"
+        if not self.faces:
+            left["faces of voxels"] = "no shares of theirs are asked for"
         return left
 
     @property
@@ -137,11 +135,16 @@ class FractionPlan:
         solid, bricks = self.solid.cost, self.solid.bricks
         entry = 8 * self.solid.shape[1] * self.solid.shape[2] * self.solid.entry
         masks = (8 + 8 + 8 + 8) * bricks  # touched, their numbers, partial, and the solid's
-        value = TYPES[self.kind].itemsize
+        numbers, voxel = 1, VOXEL_BYTES
+        if self.faces:
+            x, y, z = self.solid.shape
+            entry += 8 * max(x * y, x * z)
+            masks, numbers, voxel = masks + 8 * bricks, 1 + FACES, voxel + FACE_BYTES
+        value = 4 + TYPES[self.kind].itemsize
         return Cost(
-            device=max(solid.device, solid.host + masks + VOXEL_BYTES * self.touched + entry),
-            host=solid.host + 8 * bricks + (4 + value) * self.touched,
-            largest=max(solid.largest, 16 * self.touched, entry),
+            device=max(solid.device, solid.host + masks + voxel * self.touched + entry),
+            host=solid.host + 8 * (1 + self.faces) * bricks + numbers * value * self.touched,
+            largest=max(solid.largest, 4 * max(4, FACES * self.faces) * self.touched, entry),
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -151,6 +154,7 @@ class FractionPlan:
             "stages": self.stages,
             "left_out": self.left_out,
             "fraction_type": self.kind,
+            "face_fractions": self.faces,
             "predicted_touched_voxels": self.touched,
             "predicted_device_bytes": self.cost.device,
         }
@@ -161,7 +165,8 @@ class FractionPlan:
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts that `--plan` prints before the stages."""
-        fractions = f"of type {self.kind}, about {self.touched:,} voxels that triangles touch"
+        what = "of voxels and their faces, " * self.faces
+        fractions = f"{what}of type {self.kind}, about {self.touched:,} voxels that triangles touch"
         caps = [("caps", self.closing)] if self.caps[1] else []
         return [*self.solid.rows(), *caps, ("fractions", fractions)]
 
@@ -210,43 +215,17 @@ class FractionJob(Job[Octree]):
         active = add_nodes(scan, level.codes[level.refined])
         with self.stage("touched voxels"):
             touched, firsts, count = _touched(scan, active)
+        volume = self.mesh_volume
         with self.stage("parts"):
-            sums, entry = _add_parts(scan, active, touched, firsts, count)
+            turned = volume < 0 and plan.fill != "winding"
+            parts = _add_parts(scan, active, touched, firsts, count, turned, self.plan.faces)
         with self.stage("sums along rows"):
-            bricks, partial, shares = self._sum_rows(solid, touched, firsts, sums, entry)
+            found = sum_rows(self.device, solid, plan.shape, parts, scan.options)
+        self.disagreements = found.disagreements
         with self.stage("fractions"):
-            kept = shares[(shares > 0) & (shares < WHOLE)]
-            values = values_of(kept, self.plan.kind)
-            default = values_of(np.array([WHOLE], np.uint32), self.plan.kind)
-            found = Attribute("fraction", values, values[:0], partial, default[0].item())
-        plan = {**self.plan.scene(), MESH_VOLUME: self.mesh_volume}
-        changed = {"mode": MODE, "bricks": bricks, "plan": plan}
-        return replace(solid, **changed, attributes=(found,))
-
-    def _sum_rows(
-        self, solid: Octree, touched: Array, firsts: Array, sums: Array, entry: Array | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the bricks with the voxels that have a share, the masks of those whose share is
-        neither 0 nor WHOLE, and the shares of the touched voxels."""
-        device, (_, ny, nz) = self.device, self.plan.solid.shape
-        bricks, partial = device.put(solid.bricks), device.empty(len(solid.bricks), BRICK)
-        shares, wrong = (
-            device.empty(firsts.size and sums.size // 2, np.uint32),
-            device.zeros(1, np.uint32),
-        )
-        top, rule = solid.depth - 1, RULES[self.plan.solid.fill]
-        device.kernel(SOURCE, "sum_rows", **self._options)(
-            -(-ny // 8) * -(-nz // 8), device.view(solid.nodes), device.put(solid.offsets), top,
-            self.plan.solid.shape, rule=rule, entry=entry, touched=touched, firsts=firsts,
-            sums=sums, bricks=bricks, partial=partial, shares=shares, wrong=wrong,
-        )  # fmt: skip
-        self.disagreements = int(wrong.take()[0])
-        return bricks.take(), partial.take(), shares.take()
-
-    @property
-    def _options(self) -> dict[str, int | str]:
-        plan = replace(self.plan.solid, addressing="ranks")
-        return Scan(self.solid.lattice, plan).options
+            attributes = attributes_of(found, self.plan.kind)
+        changed = {"mode": MODE, "plan": {**self.plan.scene(), MESH_VOLUME: volume}}
+        return replace(solid, **changed, bricks=found.bricks, attributes=attributes)
 
     @property
     def mesh_volume(self) -> float:
@@ -280,6 +259,18 @@ class FractionJob(Job[Octree]):
         return self.solid.mesh.name or "mesh"
 
 
+def attributes_of(found: Shares, kind: str) -> tuple[Attribute, ...]:
+    """Return the fractions of voxels, and of their faces if there are any."""
+    whole = values_of(np.array([WHOLE], np.uint32), kind)[0].item()
+    values = values_of(found.voxels[(found.voxels > 0) & (found.voxels < WHOLE)], kind)
+    fraction = Attribute("fraction", values, values[:0], found.partial, whole)
+    if found.faces is None:
+        return (fraction,)
+    kept = found.faces[(found.voxels > 0) & (found.faces != WHOLE).any(axis=1)]
+    values = values_of(kept, kind)
+    return fraction, Attribute("faces", values, values[:0], found.cut, (whole,) * FACES)
+
+
 def values_of(shares: np.ndarray, kind: str) -> np.ndarray:
     """Return shares of 1 / WHOLE as values of a type, rounded to the nearest."""
     dtype = TYPES[kind]
@@ -303,14 +294,43 @@ def _touched(scan: Scan, active: ActiveNodes) -> tuple[Array, Array, int]:
 
 
 def _add_parts(
-    scan: Scan, active: ActiveNodes, touched: Array, firsts: Array, count: int
-) -> tuple[Array, Array | None]:
-    """Return the area and the volume of the parts of triangles in each touched voxel, (2 count,)
-    int64, and the areas of the parts before x = 0 in each row of the grid."""
-    _, ny, nz = scan.plan.shape
-    sums = scan.device.zeros(2 * count, np.int64)
-    entry = scan.device.zeros(ny * nz, np.int64) if scan.plan.entry else None
-    n, triangles = scan.shares(COVERED)
-    arguments = {"touched": touched, "firsts": firsts, "sums": sums, "entry": entry}
-    scan.kernel(SOURCE, "add_parts")(n, **arguments, **triangles, **active.lookup)
-    return sums, entry
+    scan: Scan,
+    active: ActiveNodes,
+    touched: Array,
+    firsts: Array,
+    count: int,
+    turned: bool,
+    faces: bool,
+) -> Parts:
+    """Return the sums of the parts of triangles in each touched voxel; `turned` says that the mesh
+    is inside out, and `faces` that areas across y and z are summed, too."""
+    device, plan, kind = scan.device, scan.plan, MET if faces else COVERED
+    sums = device.zeros(2 * count, np.int64)
+    across = device.zeros(2 * count, np.int64) if faces else None
+    given = {"kind": kind, "turned": int(turned), "touched": touched, "firsts": firsts}
+
+    def add(scan: Scan, entry: Array | None, across: Array | None) -> None:
+        n, triangles = scan.shares(kind)
+        scan.kernel(SOURCE, "add_parts")(
+            n, sums=sums, across=across, entry=entry, **given, **triangles, **active.lookup
+        )
+
+    def rows(axis: int) -> Array:
+        return device.zeros(plan.shape[(axis + 1) % 3] * plan.shape[(axis + 2) % 3], np.int64)
+
+    entry = rows(0) if plan.entry else None
+    add(scan, entry, across)
+    entries = [entry, None, None]
+    for axis in (1, 2) if faces else ():
+        if (scan.mesh.fixed[:, axis] < 0).any():
+            entries[axis] = rows(axis)
+            add(_before(scan, axis), entries[axis], None)
+    return Parts(touched, firsts, count, sums, across, (entries[0], entries[1], entries[2]))
+
+
+def _before(scan: Scan, axis: int) -> Scan:
+    """Return the scan of what lies before the grid along an axis, which becomes x."""
+    order = [axis, (axis + 1) % 3, (axis + 2) % 3]
+    vertices = scan.device.put(np.ascontiguousarray(scan.mesh.fixed[:, order]))
+    shape = (0, scan.plan.shape[order[1]], scan.plan.shape[order[2]])
+    return Scan(replace(scan.mesh, vertices=vertices), replace(scan.plan, shape=shape))
