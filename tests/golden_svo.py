@@ -77,6 +77,10 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
             more = {"fraction_type": kind, "fill": "parity", "device": device}
             octree = voxtool.voxelize(mesh, grid, "fraction", **more)
             yield f"fraction {kind} {dim}", octree.digest()
+        if dim <= FRACTION_DIM:
+            more = {"face_fractions": True, "fill": "parity", "device": device}
+            octree = voxtool.voxelize(mesh, grid, "fraction", **more)
+            yield f"faces {dim}", octree.digest()
         for fill, gap in FILLS if dim <= FILL_DIM else ():
             octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
             yield f"{octree.fill} {dim}", octree.digest()

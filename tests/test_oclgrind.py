@@ -418,12 +418,14 @@ def fill_voxels_in_part(device) -> None:
     mesh, grid = Mesh(vertices, faces.astype(np.int32)), Grid((30, 22, 17), (0, 0, 0), (1, 1, 1))
     for variant in ("narrow", "all"):
         for fill in ("parity", "nonzero", "winding"):
-            job = plan_fractions(mesh, grid, fill=fill, device=device)
+            job = plan_fractions(mesh, grid, fill=fill, faces=fill != "parity", device=device)
             octree = job.with_(**VARIANTS[variant]).run()
             octree.validate()
         found = dense_of(octree)
         for cell in ((0, 5, 5), (2, 10, 9), (7, 8, 9), (12, 9, 16), (15, 12, 12)):
             assert abs(found[cell] - float(oracles.filled(triangles, cell))) < 1e-7, cell
+    moved = replace(grid, shape=(13, 13, 9), origin=(0.0, 4.0, 4.0))  # begins within the mesh
+    plan_fractions(mesh, moved, faces=True, device=device).run().validate()
     vertices, faces = meshes.open_box((3.5, 4, 4), (20, 21, 13), missing=1)
     mesh = Mesh(np.asarray(vertices, np.float64), faces.astype(np.int32))
     octree = plan_fractions(mesh, grid, device=device).run()

@@ -31,11 +31,13 @@ def test_errors_rise_from_fractions_to_points_to_the_solid(bench: Bench) -> None
     assert 0.1 < found[-1] < 0.5
     volumes = {name: point.errors["volume"] for name, point in points.items()}
     assert volumes["fractions, f4"] < 1e-8
+    assert volumes["fractions and faces, f4"] == volumes["fractions, f4"]
+    assert points["fractions and faces, f4"].bytes > points["fractions, f4"].bytes
     assert volumes["fractions, f4"] < volumes["1,000 points a voxel"] < volumes["binary solid"]
 
 
 def test_large_dims_are_not_sampled(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fractions, "SAMPLED_DIM", 15)
     points = list(fractions.measure(bench))
-    assert len(points) == 4
+    assert len(points) == 5
     assert all("rms" in p.absent and "rms" not in p.errors for p in points)

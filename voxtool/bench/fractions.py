@@ -34,7 +34,7 @@ TOO_LARGE = {"rms": f"voxels are compared up to dim {SAMPLED_DIM}"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model: fractions of each type, points and the solid; the root mean square of
+    """The points of a model: fractions of each type, and of faces, points and the solid; the root mean square of
     the errors of cut voxels, and the error of the volume, of that of the mesh on its lattice."""
     mesh = load_mesh(bench.model)
     for dim in bench.request.dims:
@@ -47,15 +47,15 @@ def measure(bench: Bench) -> Iterator[Point]:
             bench.point, WORK, label=f"dim {dim}", size=octree.count, size_of="voxels",
             asked={"dims": dim}, setting={"rule": octree.fill},
         )  # fmt: skip
-        for kind in FRACTION_TYPES:
-            plan = partial(plan_fractions, mesh, grid, kind=kind)
+        for kind, faces in (*((kind, False) for kind in FRACTION_TYPES), (FRACTION_TYPES[0], True)):
+            plan = partial(plan_fractions, mesh, grid, kind=kind, faces=faces)
             made = plan(device=bench.timed).run()
             errors = {"volume": volume_error(stored_volume(made), job)}
             if kind != FRACTION_TYPES[0] and cut:
                 errors["rms"] = rms(dense_of(made)[cut], exact)
             yield row(
-                f"fractions, {kind}", run=lambda device, plan=plan: plan(device=device).run(),
-                errors=errors, bytes=made.nbytes + made.attribute("fraction").nbytes,
+                f"fractions{' and faces' * faces}, {kind}", run=lambda device, plan=plan: plan(device=device).run(),
+                errors=errors, bytes=made.nbytes + sum(one.nbytes for one in made.attributes),
                 absent=REFERENCE if kind == FRACTION_TYPES[0] else {} if cut else TOO_LARGE,
             )  # fmt: skip
         plan = partial(plan_voxelize, mesh, grid, fill=octree.fill)
