@@ -34,8 +34,9 @@ TOO_LARGE = {"rms": f"voxels are compared up to dim {SAMPLED_DIM}"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model: fractions of each type, and of faces, points and the solid; the root mean square of
-    the errors of cut voxels, and the error of the volume, of that of the mesh on its lattice."""
+    """The points of a model: fractions of each type, and of faces, points and the solid; the root
+    mean square of the errors of cut voxels, and the error of the volume, of that of the mesh on its
+    lattice."""
     mesh = load_mesh(bench.model)
     for dim in bench.request.dims:
         grid = Grid.fit(mesh, dim)
@@ -54,7 +55,8 @@ def measure(bench: Bench) -> Iterator[Point]:
             if kind != FRACTION_TYPES[0] and cut:
                 errors["rms"] = rms(dense_of(made)[cut], exact)
             yield row(
-                f"fractions{' and faces' * faces}, {kind}", run=lambda device, plan=plan: plan(device=device).run(),
+                f"fractions{' and faces' * faces}, {kind}",
+                run=lambda device, plan=plan: plan(device=device).run(),
                 errors=errors, bytes=made.nbytes + sum(one.nbytes for one in made.attributes),
                 absent=REFERENCE if kind == FRACTION_TYPES[0] else {} if cut else TOO_LARGE,
             )  # fmt: skip

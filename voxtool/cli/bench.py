@@ -199,8 +199,9 @@ COMMANDS = {
     """,
     "fractions": """Measure how much of each voxel of MODELS lies inside: fractions and sampling.
 
-    Fractions of each type, and of faces, 1,000 points a voxel up to dim 64, and the binary solid: the error of
-    cut voxels against float32 fractions, and that of the volume against the mesh's, exactly.
+    Fractions of each type, and of faces, 1,000 points a voxel up to dim 64, and the binary solid:
+    the error of cut voxels against float32 fractions, and that of the volume against the mesh's,
+    exactly.
 
     \b
     Examples:

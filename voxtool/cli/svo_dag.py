@@ -49,7 +49,7 @@ def command(run: runner.Run, file: str, expand: bool) -> None:
         if expand:
             octree = run.stage("read octree", read_svo, file)
         else:
-            octree = run.stage("read octree", stack.enter_context, open_svo(file))
+            octree: Any = run.stage("read octree", stack.enter_context, open_svo(file))
             if not isinstance(octree, MergedOctree):
                 whole, octree = octree, run.stage("merge subtrees", MergedOctree.of, octree)
                 run.notes += lost([whole])
