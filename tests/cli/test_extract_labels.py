@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_attributes import labelled
+from helpers_attributes import attributed, labelled
 from helpers_cli import fail, run
 from helpers_octree import ball
 
@@ -58,6 +58,12 @@ def test_report(folder: Path) -> None:
     assert found["triangles"] == len(surface.faces)
     text = run("extract two.svo.h5 --by label -o a.obj").stderr
     assert f"  low: {surface.triangles[0]:,} triangles\n" in text
+
+
+def test_colours_are_left_out_with_a_word(folder: Path) -> None:
+    voxtool.write_svo(attributed(), "a.svo.h5")
+    assert "voxtool: colours are left out: --by label" in run("extract a.svo.h5 --by label").stderr
+    assert "colours" not in run("extract two.svo.h5 --by label -o a.obj").stderr
 
 
 def test_plan(folder: Path) -> None:

@@ -373,6 +373,14 @@ def test_one_array_is_the_label_unless_another_is_asked_for(tmp_path: Path) -> N
     assert voxtool.plan_export(less, tmp_path / "a.npy").plan.image.dtype == bool
 
 
+@pytest.mark.parametrize("name", ["a.ply", "a.xyz", "a.npz", "a.vdb", "a.nvdb"])
+def test_layers_without_voxels(name: str, tmp_path: Path) -> None:
+    """Four layers are listed at once, of which some hold nothing."""
+    octree = octree_at_a_place()
+    empty = replace(octree, grid=Grid((64, 33, 20), octree.grid.origin, octree.grid.pitch))
+    exported(empty, tmp_path / name)
+
+
 def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     octree = octree_at_a_place()
     plan = voxtool.plan_export(octree, tmp_path / "%04d.png").plan

@@ -11,7 +11,7 @@ from helpers_octree import WORLD, ball
 from helpers_warp import values_at, wp
 
 import voxtool
-from voxtool.errors import VoxtoolError
+from voxtool.errors import FileError, VoxtoolError
 from voxtool.svo.image import VoxelImage
 
 CASES = level_sets()
@@ -52,6 +52,13 @@ def test_warp_reads_the_same(shape: str, options: dict[str, Any], tmp_path: Path
 def test_types_are_refused(tmp_path: Path) -> None:
     with pytest.raises(VoxtoolError, match=r"\.nvdb holds float32, not bool"):
         voxtool.export(voxtool.Octree.from_dense(LARGE), tmp_path / "a.nvdb", level=1, dtype="bool")
+
+
+def test_a_place_beyond_float32_is_refused(tmp_path: Path) -> None:
+    octree = voxtool.Octree.from_dense(LARGE, origin=(0, 0, 0), pitch=(1e-39, 1, 1))
+    with pytest.raises(FileError, match=r"\.nvdb holds sizes and places in float32"):
+        voxtool.export(octree, tmp_path / "a.nvdb")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import click
 
+from .looks import FORMATS as LOOKS
 from .mutate import mutant, split
 from .samples import FORMATS
 
-KINDS = ("files", "arguments")
+KINDS = ("files", "looks", "arguments")  # looks: files with an appearance alone
 ODD_NAMES = ("new\nline", os.fsdecode(b"\xff"), "a b'c\"", "\u202e\u0661", "-x", "x" * 200)
 
 
@@ -48,7 +49,7 @@ def case_of(kind: str, seed: int, number: int, samples: dict[str, bytes]) -> Cas
     rng = random.Random(f"{kind} {seed} {number}")
     if kind == "arguments":
         return Case(number, words=tuple(random_words(rng)))
-    format = rng.choice(FORMATS)
+    format = rng.choice(LOOKS if kind == "looks" else FORMATS)
     content = mutant(format, samples[format], rng, list(samples.values()))
     stem = rng.choice(ODD_NAMES) if rng.random() < 0.02 else "mutant"
     return Case(number, f"{stem}.{format}", format, content)

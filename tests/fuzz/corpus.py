@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import gzip
 import io
 import os
@@ -26,6 +27,12 @@ from .mutate import SECRET
 Content = Callable[[], bytes]
 MANY, MORE = 20_000, 4 * 10**9  # faces that are there, and elements that are not
 SUMMED = ("fan", "closed-fans", "loose-fan", "book", "needles", "nested")  # for winding numbers
+TRIANGLE_GLTF = (
+    '{"asset":{"version":"2.0"},"buffers":[{"uri":"%s","byteLength":36}],"bufferViews":'
+    '[{"buffer":0,"byteLength":36}],"accessors":[{"bufferView":0,"componentType":5126,"count":3,'
+    '"type":"VEC3"}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],"nodes":'
+    '[{"mesh":0}],"scenes":[{"nodes":[0]}]}'
+)
 SCENES = ("svo.h5", "adf.h5", "raycast.tet.h5")
 
 
@@ -100,12 +107,6 @@ def other_files() -> Iterator[Entry]:
     nodes = "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 0, 1, 0\n4, 0, 0, 1\n"
     tetrahedron = f"{nodes}*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n"
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-    gltf = (
-        '{"asset":{"version":"2.0"},"buffers":[{"uri":"%s","byteLength":36}],"bufferViews":'
-        '[{"buffer":0,"byteLength":36}],"accessors":[{"bufferView":0,"componentType":5126,"count":3,'
-        '"type":"VEC3"}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],"nodes":'
-        '[{"mesh":0}],"scenes":[{"nodes":[0]}]}'
-    )
     vtu = (
         '<VTKFile type="UnstructuredGrid" xmlns:xi="http://www.w3.org/2001/XInclude">'
         '<xi:include href="%s" parse="text"/></VTKFile>'
@@ -117,7 +118,7 @@ def other_files() -> Iterator[Entry]:
         ("Abaqus INCLUDE of nodes", "a.inp", f"*NODE\n*INCLUDE, INPUT={SECRET}\n"),
         ("Abaqus INCLUDE in odd letters", "a.inp", f"{tetrahedron}\u0131N*CLUDE, ={SECRET}\n"),
         ("mtllib", "a.obj", f"mtllib {SECRET}\n{triangle}"),
-        ("glTF buffer", "a.gltf", gltf % SECRET),
+        ("glTF buffer", "a.gltf", TRIANGLE_GLTF % SECRET),
         ("XInclude", "a.vtu", vtu % SECRET),
         ("external entity", "a.svo.xml", doctype % SECRET),
     ):
@@ -254,6 +255,10 @@ def casts() -> Iterator[Entry]:
         f"{'1 ' * 729}</DataArray></CellData></Piece></ImageData></VTKFile>"
     )
     yield Entry("an infinite spacing", "a.image.vti", vti.encode)
+    buffer = "data:;base64," + base64.b64encode(np.eye(3, dtype="<f4").tobytes()).decode()
+    far = '"nodes":[{"children":[1],"scale":[1e308,1,1]},{"mesh":0,"scale":[1e308,0,1]}]'
+    gltf = (TRIANGLE_GLTF % buffer).replace('"nodes":[{"mesh":0}]', far)
+    yield Entry("a transform beyond float64", "a.gltf", gltf.encode)
     yield Entry("a port beyond any", command=f"voxelize a.obj --dask a:{2**63}", has="no scheduler")
 
 

@@ -20,6 +20,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from .mutate_looks import SECRET, change_bytes, change_png, change_words
+
 Change = Callable[[bytes, random.Random], bytes]
 split = str.split
 
@@ -31,7 +33,6 @@ WORDS = (*map(str, INTEGERS), *map(repr, REALS), *split("1e400 -1e400 0x10 1_0 1
          "", "\u0661", "\x00", "1" * 400, "'", '"')  # fmt: skip
 NUMBER = re.compile(rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 MOST_BYTES = 1 << 18  # of a mutant
-SECRET = "../../secret.txt"  # a file that no reader may open, from the folder of a case
 FOREIGN = tuple(
     line.format(SECRET).encode()
     for line in ("*INCLUDE, INPUT={}", "mtllib {}", "Include {}", '$Merge "{}"', "FILE {}")
@@ -59,11 +60,11 @@ def changes_for(format: str, data: bytes) -> list[Change]:
         return [change_hdf5, change_hdf5, change_hdf5, change_binary]
     if format.endswith(("xml", "vtu")):
         return [change_xml, change_numbers, change_lines]
-    if format in ("json", "gltf"):
+    if format.endswith(("json", "gltf")):
         return [change_json, change_numbers]
-    if format == "glb":
-        return [change_glb, change_binary]
-    if format in ("3mf", "image.ome.zarr"):
+    if format.endswith("glb"):
+        return [change_glb, change_binary, change_png]
+    if format.endswith(("3mf", "image.ome.zarr", "look.obj")):
         return [change_zip, change_zip, change_binary]
     if b"\0" in data or format.endswith((".gz", "npz", "npy")):
         return [change_binary, change_numbers, change_lines]
@@ -71,31 +72,6 @@ def changes_for(format: str, data: bytes) -> list[Change]:
 
 
 # ---- any bytes
-
-
-def change_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Bytes flipped, overwritten, inserted, removed, repeated, or the end missing."""
-    changed = bytearray(data)
-    place, size = rng.randrange(len(data) + 1), rng.choice((1, 1, 2, 4, 8, 64, 512))
-    match rng.randrange(7):
-        case 0 if changed:
-            changed[place % len(changed)] ^= 1 << rng.randrange(8)
-        case 1:
-            changed[place : place + size] = (
-                bytes([rng.choice((0, 1, 9, 10, 32, 45, 127, 255))]) * size
-            )
-        case 2:
-            changed[place:place] = rng.randbytes(size)
-        case 3:
-            del changed[place : place + size]
-        case 4:
-            changed[place:place] = changed[place : place + size] * rng.choice((1, 2, 100))
-        case 5:
-            del changed[place:]
-        case _:
-            other = rng.randrange(len(data) + 1)
-            changed[place : place + size] = changed[other : other + size]
-    return bytes(changed)
 
 
 def splice(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
@@ -266,12 +242,21 @@ def change_zip(data: bytes, rng: random.Random) -> bytes:
             for name in names:
                 text = old.read(name)
                 if rng.random() < 1 / len(names):
-                    known = change_json if text.startswith(b"{") else change_xml
-                    text = rng.choice((known, change_numbers, change_bytes))(text, rng)
+                    text = rng.choice(_changes_inside(name, text))(text, rng)
                 new.writestr(zipfile.ZipInfo(name), text, zipfile.ZIP_DEFLATED)
     except Exception:  # another change damaged it before
         return change_bytes(data, rng)
     return out.getvalue()
+
+
+def _changes_inside(name: str, text: bytes) -> list[Change]:
+    """The changes that know a file of an archive."""
+    if name.endswith(".png"):
+        return [change_png, change_png, change_bytes]
+    if name.endswith((".obj", ".mtl")):
+        return [change_numbers, change_lines, change_words]
+    known = change_json if text.startswith(b"{") else change_xml
+    return [known, change_numbers, change_bytes]
 
 
 # ---- HDF5

@@ -22,6 +22,8 @@ from voxtool.cli.main import cli
 from voxtool.files import threemf, write_mesh
 from voxtool.files.formats import EXCHANGE
 
+from . import looks
+
 OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz", "voccel.xml", "merged.svo.h5")
 FIELDS = ("adf.h5",)
 VOLUMES = ("raycast.tet.h5", "projection.tet.h5", "hexahedra.tet.h5")
@@ -39,7 +41,8 @@ FOLDERS = tuple(  # their samples are archives of what is in them
 TRANSFERS = ("json",)
 REPORTS = ("report.json",)
 FORMATS = (*OCTREES, *FIELDS, *VOLUMES, *MESHES, *CELLS, *POINTS, *IMAGES, *FOLDERS, *TRANSFERS,
-           *REPORTS)  # fmt: skip
+           *REPORTS, *looks.FORMATS)  # fmt: skip
+ARCHIVES = (*FOLDERS, looks.FOLDER)
 # meshio's format and options of each file of volume cells.
 MESHIO: dict[str, tuple[str, dict[str, Any]]] = {
     "vtu": ("vtu", {}),
@@ -84,6 +87,7 @@ def write_all(folder: Path, device: Any) -> None:
     transfer = voxtool.default_transfer(volume)
     (folder / "a.json").write_text(transfer.to_json())
     write_meshes(folder, ball)
+    looks.write_looks(folder, ball, device, archive_of)
     (folder / "a.report.json").write_text(report(folder / "a.obj", device))
     write_cells(folder)
     write_points(folder, vertices)
@@ -100,7 +104,7 @@ def archive_of(folder: Path) -> bytes:
 
 def put(path: Path, format: str, content: bytes) -> None:
     """Write the file of a case, or its folder as far as the archive can be unpacked."""
-    if format not in FOLDERS:
+    if format not in ARCHIVES:
         path.write_bytes(content)
         return
     path.mkdir()

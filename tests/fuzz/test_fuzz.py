@@ -12,7 +12,8 @@ from .cases import KINDS, Case
 from .driver import Session
 from .worker import Worker
 
-CASES = {"files": (120, 0), "arguments": (50, -1)}  # how many, and the place of the driver
+# how many, and the place of the driver
+CASES = {"files": (120, 0), "looks": (80, 0), "arguments": (50, -1)}
 
 
 @pytest.mark.slow

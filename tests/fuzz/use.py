@@ -13,12 +13,13 @@ import numpy as np
 import voxtool
 from voxtool.files.points import read_points
 
-from . import samples
+from . import looks, samples
 from .cases import Case
 from .judge import Finding, Tools, memory, place_of, reset_peak, run_command, watched
 
 LEAST_LIMIT = 400 << 20  # bytes that a case may take, whatever its size
 SHARE_OF_COMMANDS = 0.15  # of the files; the others are used by the library
+STYLES = ("marching-cubes", "voxel-faces", "surface-nets")
 POINTS = np.array(
     [(0, 0, 0), (0.1, 0.2, 0.3), (-9, 1e-308, 5), (1e308, 0, 0), (np.inf, 0, 1), (np.nan, 0, 0)]
 )
@@ -42,6 +43,21 @@ COMMANDS: dict[tuple[str, ...], tuple[str, ...]] = {
         "diagnose FILE --dim 16 --json --device DEVICE",
         "adf-build FILE --max-level 3 -o out.adf.h5 --device DEVICE",
         "distance FILE --dim 8 -o out.npy --device DEVICE",
+    ),
+    looks.MESHES: (
+        "voxelize FILE --dim 16 --mode surface26 --attributes colour,normal -o out.svo.h5",
+        "voxelize FILE --dim 16 --with-surface --attributes colour --colour nearest -o out.ply",
+        "voxelize FILE --dim 16 --labels material -o out.svo.h5",
+        "voxelize FILE --dim 16 --labels part --priority last -o out.vdb",
+        "voxelize FILE --dim 16 --labels object --json -o out.svo.h5",
+    ),
+    looks.OCTREES: (
+        "svo-info FILE --json", "extract FILE --style voxel-faces --check -o out.ply",
+        "extract FILE --style surface-nets --normals -o out.glb", "extract FILE -o out.obj",
+        "extract FILE --by label --check -o out.glb", "export FILE -o out.vdb",
+        "export FILE -o out.nvdb", "export FILE -o out.vtkhdf", "export FILE -o out.vox",
+        "svo-query FILE ../../a.csv --attributes label,colour,normal -o out.csv",
+        "morph FILE --dilate 1 -o out.svo.h5", "render FILE --size 16 -o out.png",
     ),
     samples.CELLS: ("tet-build FILE --json -o out.tet.h5",),
     samples.POINTS: ("adf-query ../../a.adf.h5 FILE --gradient -o out.csv --device DEVICE",),
@@ -87,7 +103,8 @@ def use_file(case: Case, tools: Tools) -> None:
     rng = case.rng
     if rng.random() < SHARE_OF_COMMANDS or case.format in samples.REPORTS:
         line = rng.choice(next(lines for kinds, lines in COMMANDS.items() if case.format in kinds))
-        given = {"FILE": f"./{case.name}", "DEVICE": tools.device_name}
+        inner = "/a.obj" if case.format == looks.FOLDER else ""
+        given = {"FILE": f"./{case.name}{inner}", "DEVICE": tools.device_name}
         words = tuple(given.get(word, word) for word in line.split())
         run_command(Case(case.number, words=words), tools)
         return
@@ -106,7 +123,7 @@ def use_file(case: Case, tools: Tools) -> None:
 def use_octree(octree: Any, tools: Tools, rng: random.Random) -> None:
     octree.validate()
     octree.digest(), octree.summary()
-    style = rng.choice(("marching-cubes", "voxel-faces", "surface-nets", None, None))
+    style = rng.choice((*STYLES, None, None))
     if style:
         voxtool.extract(octree, style=style, device=tools.device)
     else:
@@ -152,6 +169,40 @@ def write_mesh(mesh: Any, tools: Tools, rng: random.Random) -> None:
     voxtool.write_mesh(mesh, f"out.{rng.choice(('obj', 'ply', 'stl', 'glb', 'off'))}")
 
 
+def paint(mesh: Any, tools: Tools, rng: random.Random) -> None:
+    names = rng.choice((("colour",), ("normal",), ("colour", "normal")))
+    mode = rng.choice(("surface26", "surface6", "solid"))
+    more = {"attributes": names, "colour": rng.choice(("mean", "nearest"))}
+    octree = voxtool.voxelize(mesh, None, mode, dim=16, device=tools.device, **more)
+    octree.validate()
+    if "colour" in names:
+        surfaces_of(octree, tools, rng)
+
+
+def label(mesh: Any, tools: Tools, rng: random.Random) -> None:
+    by = rng.choice(("shell", *mesh.parts))
+    octree = voxtool.voxelize(mesh, dim=16, labels=by, device=tools.device)
+    octree.validate()
+    voxtool.extract(octree, by="label").digest()
+
+
+def surfaces_of(octree: Any, tools: Tools, rng: random.Random) -> None:
+    styles = ("voxel-faces",) if octree.mode.startswith("surface") else STYLES
+    surface = voxtool.extract(octree, style=rng.choice(styles), device=tools.device)
+    voxtool.write_mesh(surface, f"out.{rng.choice(('obj', 'ply', 'glb'))}")
+    if any(one.name == "label" for one in octree.attributes):
+        voxtool.write_mesh(voxtool.extract(octree, by="label"), "out.obj")
+
+
+def export(octree: Any, tools: Tools, rng: random.Random) -> None:
+    voxtool.export(octree, f"out.{rng.choice(('vdb', 'nvdb', 'ply', 'vti', 'npz', 'vox'))}")
+
+
+def read_look(name: str) -> Any:
+    path = Path(name, "a.obj") if Path(name).is_dir() else Path(name)
+    return voxtool.load_mesh(path, keep=("parts", "appearance"))
+
+
 def build_volume(mesh: Any, tools: Tools, rng: random.Random) -> None:
     layout = rng.choice(("raycast", "projection", "hexahedra"))
     use_volume(voxtool.build_tet(mesh, layout), tools, rng)
@@ -184,6 +235,8 @@ WAYS: dict[tuple[str, ...], tuple[Callable[[str], Any], list[Use]]] = {
     samples.FIELDS: (voxtool.read_adf, [use_field]),
     samples.VOLUMES: (voxtool.read_tet, [use_volume]),
     samples.MESHES: (voxtool.load_mesh, [voxelize, measure, build_field, write_mesh]),
+    looks.MESHES: (read_look, [paint, label, write_mesh]),
+    looks.OCTREES: (voxtool.read_svo, [use_octree, surfaces_of, export]),
     samples.CELLS: (read_cells, [build_volume]),
     samples.POINTS: (read_all_points, [query]),
     (*samples.IMAGES, *samples.FOLDERS): (voxtool.read_voxels, [use_octree]),

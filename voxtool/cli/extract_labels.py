@@ -25,6 +25,7 @@ def extract_labels(
     """
     from voxtool.adf.field import DistanceField
     from voxtool.files import check_holds_parts, read_shape, write_mesh
+    from voxtool.svo.surface.colours import has_colours
     from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 
     usual = {"isovalue": 0.5, "level": VOXEL_LEVEL, "scale": 1}
@@ -45,6 +46,8 @@ def extract_labels(
             )
         labels = run.stage("check", surface.facts, True) if check else surface.facts()
         run.write(write_mesh, surface)
+        if has_colours(shape):
+            run.notes.append(f"colours are left out: --by {by} writes shapes and names alone")
         if run.as_json or check:
             facts = {
                 "dim": surface.grid.dim,

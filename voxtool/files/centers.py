@@ -8,6 +8,7 @@ with the names of labels as comments; of .xyz the same columns.
 
 from __future__ import annotations
 
+from math import prod
 from typing import BinaryIO
 
 import numpy as np
@@ -83,7 +84,7 @@ def write_ply(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
             points["value"] = values
         for attribute, held in zip(attributes, others, strict=True):
             own = COLUMNS.get(attribute.name, (attribute.name,))
-            for name, column in zip(own, held.reshape(len(cells), -1).T, strict=True):
+            for name, column in zip(own, as_rows(held).T, strict=True):
                 points[name] = column
         file.write(points.data)
 
@@ -119,12 +120,14 @@ def write_xyz(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
             ]
         for held in others:
             form = ".9g" if held.dtype.kind == "f" else "d"
-            added = (
-                " ".join(f"{v:{form}}" for v in numbers)
-                for numbers in held.reshape(len(cells), -1).tolist()
-            )
+            added = (" ".join(f"{v:{form}}" for v in numbers) for numbers in as_rows(held).tolist())
             rows = [f"{row} {numbers}" for row, numbers in zip(rows, added, strict=True)]
         file.write("".join(f"{row}\n" for row in rows).encode())
+
+
+def as_rows(values: np.ndarray) -> np.ndarray:
+    """Return the values of cells as rows of numbers, (n, channels), also of no cell."""
+    return values.reshape(len(values), prod(values.shape[1:]))
 
 
 def centers(image: VoxelImage, cells: np.ndarray) -> np.ndarray:

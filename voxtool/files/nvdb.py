@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from voxtool.errors import VoxtoolError
+from voxtool.errors import FileError, VoxtoolError
 from voxtool.files import vdb
 from voxtool.files.vdb_attributes import AttributeGrid
 from voxtool.files.vdb_encode import (
@@ -211,9 +211,13 @@ def _write_head(content: Content, file: BinaryIO, total: int, place: tuple[int, 
     pitch = content.pitch
     file.write(struct.pack("<8sQIIIIQ", MAGIC, UNCHECKED, VERSION, BREADTH_FIRST, *place, total))
     file.write((content.name.encode() + b"\0").ljust(256, b"\0"))
-    for dtype in ("<f4", "<f8"):  # the map: matrix, its inverse, translation, taper
-        parts = [np.diag(pitch).ravel(), np.diag(1 / pitch).ravel(), content.middle, [1.0]]
-        file.write(np.concatenate(parts).astype(dtype).tobytes())
+    # the map: matrix, its inverse, translation, taper
+    parts = [np.diag(pitch).ravel(), np.diag(1 / pitch).ravel(), content.middle, [1.0]]
+    numbers = np.concatenate(parts)
+    if np.abs(numbers).max() > np.finfo("f4").max:
+        raise FileError(".nvdb holds sizes and places in float32, which these exceed: write .vdb")
+    for dtype in ("<f4", "<f8"):
+        file.write(numbers.astype(dtype).tobytes())
     file.write(_world(content) + pitch.astype("<f8").tobytes())
     file.write(struct.pack("<2IqI", content.kind, FLOAT, total, 0))
     file.write(bytes(12) + GRID_MAGIC)

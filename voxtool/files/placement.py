@@ -67,8 +67,7 @@ def merged(name: str, parts: Iterable[Part]) -> Placed:
     for points, corners, matrix, numbers, own_uv, own_colours in parts:
         check_indices(name, corners, len(points))
         if not (matrix == np.eye(4)).all():
-            with np.errstate(all="ignore"):  # vertices that are not finite are refused later
-                points = product(matrix, [*points.T, np.ones(len(points))])[:3].T
+            points = product(matrix, [*points.T, np.ones(len(points))])[:3].T
             if determinant(matrix) < 0:
                 corners = corners[:, ::-1]
                 own_uv = None if own_uv is None else own_uv[:, ::-1]
@@ -119,12 +118,14 @@ def look_of(placed: Placed, materials: list[Material]) -> Appearance | None:
 
 
 def determinant(matrix: np.ndarray) -> float:
-    """Return the determinant of the linear part of a transform."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
-    return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
+    """Return the determinant of the linear part of a transform; NaN beyond float64."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3].tolist()  # Python's floats do not warn
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def product(matrix: np.ndarray, rows: Any) -> np.ndarray:
-    """Return matrix @ rows, written out: results of BLAS differ between machines."""
+    """Return matrix @ rows, written out: results of BLAS differ between machines. Vertices that are
+    not finite are refused later."""
     m = matrix[:, :, None]
-    return m[:, 0] * rows[0] + m[:, 1] * rows[1] + m[:, 2] * rows[2] + m[:, 3] * rows[3]
+    with np.errstate(all="ignore"):
+        return m[:, 0] * rows[0] + m[:, 1] * rows[1] + m[:, 2] * rows[2] + m[:, 3] * rows[3]
