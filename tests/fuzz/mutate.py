@@ -39,17 +39,20 @@ FOREIGN = tuple(
 )
 
 
-def mutant(format: str, data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
-    """A changed file of a format; `others` are files that parts are taken from."""
+def mutant(
+    format: str, data: bytes, rng: random.Random, others: list[bytes], known: float = 0.8
+) -> bytes:
+    """A changed file of a format; `others` are files that parts are taken from, `known` the share
+    of the changes that know the format."""
     if format.endswith(".gz") and rng.random() < 0.8:
-        inside = mutant(format[:-3], gzip.decompress(data), rng, others)
+        inside = mutant(format[:-3], gzip.decompress(data), rng, others, known)
         return gzip.compress(inside, mtime=0)
     changes = changes_for(format, data)
     count = rng.choice((1, 1, 1, 2, 2, 4))
-    chosen = [rng.choice(changes) if rng.random() < 0.8 else change_bytes for _ in range(count)]
+    chosen = [rng.choice(changes) if rng.random() < known else change_bytes for _ in range(count)]
     # the HDF5 library, which changes files in this process, gets them before they are damaged
     for change in sorted(chosen, key=lambda one: one is not change_hdf5):
-        spliced = change is not change_hdf5 and rng.random() < 0.03
+        spliced = change is not change_hdf5 and rng.random() < 0.15 * (1 - known)
         data = (splice(data, rng, others) if spliced else change(data, rng))[:MOST_BYTES]
     return data
 
@@ -63,9 +66,9 @@ def changes_for(format: str, data: bytes) -> list[Change]:
     if format.endswith(("json", "gltf")):
         return [change_json, change_numbers]
     if format.endswith("glb"):
-        return [change_glb, change_binary, change_png]
+        return [change_glb, change_glb, change_glb_data, change_binary, change_png]
     if format.endswith(("3mf", "image.ome.zarr", "look.obj")):
-        return [change_zip, change_zip, change_binary]
+        return [change_zip, change_zip, change_zip, change_zip, change_binary]
     if b"\0" in data or format.endswith((".gz", "npz", "npy")):
         return [change_binary, change_numbers, change_lines]
     return [change_numbers, change_numbers, change_lines]
@@ -231,6 +234,12 @@ def change_glb(data: bytes, rng: random.Random) -> bytes:
     rest = data[20 + length :]
     head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
     return head + text + rest
+
+
+def change_glb_data(data: bytes, rng: random.Random) -> bytes:
+    """A number in the buffer of a GLB changed: a vertex, an index, a texture coordinate."""
+    start = 28 + int.from_bytes(data[12:16], "little")
+    return data[:start] + change_binary(data[start:], rng)
 
 
 def change_zip(data: bytes, rng: random.Random) -> bytes:

@@ -82,4 +82,6 @@ def change_png(data: bytes, rng: random.Random) -> bytes:
     for kind, body in chunks:
         check = struct.pack(">I", zlib.crc32(kind + body))
         found += struct.pack(">I", len(body)) + kind + body + check
+    if start:  # inside of another file, where it keeps its size
+        found = found[: end - start].ljust(end - start, b"\0")
     return data[:start] + found + data[end:]
