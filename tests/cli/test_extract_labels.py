@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from helpers_cli import fail, run
 from helpers_octree import ball
 
 import voxtool
+from voxtool.mesh import srgb
+from voxtool.palette import palette
 from voxtool.svo.surface.labelled import LabelledSurface
 
 HALVES = np.where(ball((17, 16, 15)), np.arange(15) // 8, -1)
@@ -48,6 +51,44 @@ def test_formats(folder: Path) -> None:
     )
 
 
+def test_3mf(folder: Path) -> None:
+    """lib3mf and voxtool read a component for each label, with its name and colour."""
+    lib3mf = pytest.importorskip("lib3mf")
+    surface = replace(expected("surface-nets"), units="in", names=('<low> & "so"', "über b"))
+    voxtool.write_mesh(surface, "two.3mf")
+    model = lib3mf.get_wrapper().CreateModel()
+    reader = model.QueryReader("3mf")
+    reader.SetStrictModeActive(True)
+    reader.ReadFromFile("two.3mf")
+    assert reader.GetWarningCount() == 0
+    assert model.GetUnit() == lib3mf.ModelUnit.Inch
+    items, objects = model.GetBuildItems(), model.GetMeshObjects()
+    assert items.Count() == 1
+    assert model.GetComponentsObjects().Count() == 1
+    for label in surface.labels:
+        assert objects.MoveNext()
+        found, mesh = objects.GetCurrentMeshObject(), surface.mesh(label)
+        assert found.GetName() == surface.names[label]
+        assert found.IsManifoldAndOriented()
+        points = [list(vertex.Coordinates) for vertex in found.GetVertices()]
+        assert np.array_equal(points, mesh.vertices.astype(np.float32))
+        faces = [list(face.Indices) for face in found.GetTriangleIndices()]
+        assert np.array_equal(faces, mesh.faces)
+    assert not objects.MoveNext()
+    read = voxtool.load_mesh("two.3mf", keep=("parts", "appearance"))
+    assert read.units == "in"
+    assert read.parts["part"].names == read.parts["material"].names == surface.names
+    assert np.array_equal(read.parts["part"].labels, np.repeat([0, 1], surface.triangles))
+    assert read.appearance is not None
+    wanted = srgb.to_linear(palette(2)).tolist()
+    assert [list(one.colour[:3]) for one in read.appearance.materials] == wanted
+    first = Path("two.3mf").read_bytes()
+    voxtool.write_mesh(surface, "two.3mf")
+    assert Path("two.3mf").read_bytes() == first
+    run("extract two.svo.h5 --by label -o c.3mf")
+    assert "end it in one of .obj" in fail("extract two.svo.h5 -o d.3mf", 3)
+
+
 def test_report(folder: Path) -> None:
     found = json.loads(run("extract two.svo.h5 --by label --check --json -o a.obj").stdout)
     surface = expected("nets")
@@ -82,7 +123,7 @@ def test_plan(folder: Path) -> None:
     [
         ("--style sharp", 3, "choose one of surface-nets, voxel-faces"),
         ("--style marching-cubes", 3, "choose one of surface-nets, voxel-faces"),
-        ("-o a.ply", 3, ".ply holds one mesh without a name: write .obj or .glb"),
+        ("-o a.ply", 3, ".ply holds one mesh without a name: write .obj, .glb, .3mf"),
         ("--merge", 2, "--merge is of a single surface: drop it, or --by label"),
         ("--level 0", 2, "--level is of a single surface"),
         ("--isovalue 0.4", 2, "--isovalue is of a single surface"),

@@ -39,8 +39,8 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
         "its cell; sharp: with the edges and corners of --source.  Coarser samples round off more."
         "  [default: marching-cubes, with --by surface-nets]"),
     option("--by", BY,
-        "label: a closed mesh for each label, by name, in one .obj or .glb; meshes side by side "
-        "have the same vertices and triangles where they meet (surface-nets, voxel-faces)."),
+        "label: a closed mesh for each label, by name, in one .obj, .glb or .3mf; meshes side by "
+        "side have the same vertices and triangles where they meet (surface-nets, voxel-faces)."),
     option("--level", LEVEL,
         "What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
         "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]", metavar="N|voxel"),
@@ -103,7 +103,7 @@ def command(
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
     if by is None:
         check_names(style, octree, source, against, bool(units or scale != 1))
-    from voxtool.files import MESH_FORMATS, open_shape, write_blocks, write_mesh
+    from voxtool.files import MESH_FORMATS, PART_FORMATS, open_shape, write_blocks, write_mesh
     from voxtool.files.mesh import load_mesh
     from voxtool.files.spool import Spool
     from voxtool.svo.content import OctreeContent
@@ -113,7 +113,8 @@ def command(
 
     # named after its style: bunny.obj is the mesh that the octree was made from
     kind = "surface" if octree.endswith(".adf.h5") else style
-    run.to(octree, output_of(octree, f"{kind}.{run.file_format or 'obj'}"), MESH_FORMATS)
+    formats = MESH_FORMATS if by is None else MESH_FORMATS | PART_FORMATS
+    run.to(octree, output_of(octree, f"{kind}.{run.file_format or 'obj'}"), formats)
     if by is not None:
         from voxtool.cli.extract_labels import extract_labels
 

@@ -60,6 +60,7 @@ __all__ = [
     "MESH_EXTENSIONS",
     "MESH_FORMATS",
     "NORMAL_FORMATS",
+    "PART_FORMATS",
     "SVO_FORMATS",
     "TET_FORMATS",
     "TEXT_FORMATS",
@@ -394,7 +395,7 @@ def write_mesh(
     normals: np.ndarray | None = None,
 ) -> None:
     """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off; the
-    meshes of labels as .obj or .glb. Colours of vertices are written to .obj, .ply and .glb.
+    meshes of labels as .obj, .glb or .3mf. Colours of vertices are written to .obj, .ply and .glb.
 
     Parameters
     ----------
@@ -423,8 +424,9 @@ def write_mesh(
     from voxtool.svo.surface.isosurface import Isosurface
     from voxtool.svo.surface.labelled import LabelledSurface
 
-    format = format or format_of(path, MESH_FORMATS)
-    if isinstance(mesh, LabelledSurface):
+    of_parts = isinstance(mesh, LabelledSurface)
+    format = format or format_of(path, MESH_FORMATS | (PART_FORMATS if of_parts else {}))
+    if of_parts:
         if normals is not None:
             raise FileError("meshes with common borders have no normals of vertices: omit them")
         if format in MESH_FORMATS:
@@ -469,7 +471,7 @@ def write_wall_links(
 def check_holds_parts(format: str) -> None:
     """Raise FileError if a format of meshes holds a single one."""
     if format not in PART_FORMATS:
-        held = " or ".join(f".{name}" for name in PART_FORMATS)
+        held = ", ".join(f".{name}" for name in PART_FORMATS)
         raise FileError(f".{format} holds one mesh without a name: write {held}")
 
 

@@ -166,7 +166,8 @@ MESH_FORMATS = {
     for name in ("obj", "ply", "stl", "glb", "off")
 }
 PART_FORMATS = {  # of several meshes in one file
-    name: Writer("mesh_parts", f"write_{name}", text=name == "obj") for name in ("obj", "glb")
+    name: Writer("mesh_parts", f"write_{name}", text=name == "obj")
+    for name in ("obj", "glb", "3mf")
 }
 TEXT_FORMATS = (  # fit for a terminal
     *(name for name, f in {**SVO_FORMATS, **MESH_FORMATS, **EXCHANGE}.items() if f.text),

@@ -1,24 +1,42 @@
-"""The meshes of the labels of an octree in one file: objects of OBJ, or nodes of GLB.
+"""The meshes of the labels of an octree in one file: objects of OBJ or 3MF, or nodes of GLB.
 
-OBJ has one list of vertices, to which the faces of all objects refer. In GLB each node has vertices
-of its own; those on common borders are bit-equal. Numbers are written as those of single meshes.
+OBJ has one list of vertices, to which the faces of all objects refer. In GLB and 3MF each has
+vertices of its own; those on common borders are bit-equal. Numbers are written as those of single
+meshes. A 3MF has one build item, whose components are the objects, each with a base material of its
+name in the colour of the palette; how it is packed depends on the version of zlib.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, BinaryIO
+import zipfile
+from typing import IO, TYPE_CHECKING, BinaryIO
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from voxtool.errors import printable
+from voxtool.errors import FileError, printable
 from voxtool.files.glb import BYTES, Node, write_nodes
 from voxtool.files.mesh_writers import HEADER, check_float32, decimals_of
+from voxtool.files.threemf import CORE, RELATION, RELATIONS, ROOT_MODEL, UNITS
 from voxtool.mesh.mesh import Mesh
+from voxtool.palette import palette
 
 if TYPE_CHECKING:
     from voxtool.svo.surface.labelled import LabelledSurface
 
 LINES = 1 << 16  # that become text at once
+MODEL, TYPES = "3D/3dmodel.model", "[Content_Types].xml"
+PACKAGE = "http://schemas.openxmlformats.org/package/2006/content-types"
+TYPES_XML = (
+    f'<?xml version="1.0" encoding="UTF-8"?>\n<Types xmlns="{PACKAGE}"><Default Extension="rels" '
+    'ContentType="application/vnd.openxmlformats-package.relationships+xml"/><Default Extension='
+    '"model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/></Types>'
+)
+RELATIONS_XML = (
+    f'<?xml version="1.0" encoding="UTF-8"?>\n<Relationships xmlns="{RELATION.split()[0]}">'
+    f'<Relationship Target="/{MODEL}" Id="model" Type="{ROOT_MODEL}"/></Relationships>'
+)
+LINE_BYTES, MOST_TEXT = 80, 1 << 31  # of a triangle and its share of vertices; that zip holds
 
 
 def write_obj(surface: LabelledSurface, file: BinaryIO) -> None:
@@ -38,12 +56,56 @@ def write_glb(surface: LabelledSurface, file: BinaryIO, limit: int = BYTES) -> N
     write_nodes(nodes, file, limit)
 
 
+def write_3mf(surface: LabelledSurface, file: BinaryIO) -> None:
+    """Write a 3MF in the surface's unit, or millimetres if it is unknown."""
+    if LINE_BYTES * 2 * len(surface.faces) > MOST_TEXT:
+        raise FileError("3MF holds 2 GiB of text at most and these meshes have more: write .glb")
+    units = {short: long for long, short in UNITS.items()}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for part, text in ((TYPES, TYPES_XML), (RELATIONS, RELATIONS_XML)):
+            archive.writestr(zipfile.ZipInfo(part), text, zipfile.ZIP_DEFLATED)
+        info = zipfile.ZipInfo(MODEL)
+        info.compress_type = zipfile.ZIP_DEFLATED
+        with archive.open(info, "w") as model:
+            _write_model(surface, model, units.get(surface.units, "millimeter"))
+
+
+def _write_model(surface: LabelledSurface, file: IO[bytes], unit: str) -> None:
+    """Write the XML of the model."""
+    places, labels = decimals_of(Mesh(surface.vertices, surface.faces)), surface.labels
+    colours, names = palette(max(len(surface.names), 1)), [_quoted(surface, n) for n in labels]
+    vertex = "<vertex " + " ".join(f'{axis}="%.{places}f"' for axis in "xyz") + "/>\n"
+    base = "".join(
+        f'<base name={name} displaycolor="#{bytes(colours[label]).hex().upper()}"/>'
+        for label, name in zip(labels, names, strict=True)
+    )
+    head = f'<?xml version="1.0" encoding="UTF-8"?>\n<model unit="{unit}" xmlns="{CORE}">'
+    file.write(f'{head}<resources><basematerials id="1">{base}</basematerials>'.encode())
+    for number, (label, name) in enumerate(zip(labels, names, strict=True)):
+        mesh = surface.mesh(label)
+        own = f'<object id="{number + 2}" type="model" name={name} pid="1" pindex="{number}">'
+        file.write(f"{own}<mesh><vertices>\n".encode())
+        _write_lines(file, vertex, mesh.vertices)
+        file.write(b"</vertices><triangles>\n")
+        _write_lines(file, '<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces)
+        file.write(b"</triangles></mesh></object>")
+    whole = len(labels) + 2
+    parts = "".join(f'<component objectid="{n}"/>' for n in range(2, whole))
+    tail = f'<object id="{whole}" type="model"><components>{parts}</components></object>'
+    file.write(f'{tail}</resources><build><item objectid="{whole}"/></build></model>'.encode())
+
+
+def _quoted(surface: LabelledSurface, label: int) -> str:
+    """Return the name of a label as an attribute of XML."""
+    return quoteattr(_name_of(surface, label))
+
+
 def _name_of(surface: LabelledSurface, label: int) -> str:
     """Return the name of a label on one line; that of a label without one is its number."""
     return printable(surface.names[label]).strip() or f"label {label}"
 
 
-def _write_lines(file: BinaryIO, line: str, rows: np.ndarray) -> None:
+def _write_lines(file: IO[bytes], line: str, rows: np.ndarray) -> None:
     """Write a line for each row of numbers."""
     for first in range(0, len(rows), LINES):
         part = rows[first : first + LINES]

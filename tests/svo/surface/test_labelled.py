@@ -219,7 +219,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(VoxtoolError, match=r"mode surface26 has no inside .* voxel-faces"):
         voxtool.extract(replace(octree, mode="surface26"), by="label")
     surface = voxtool.extract(octree, by="label")
-    with pytest.raises(FileError, match=r"\.stl holds one mesh without a name: write \.obj or"):
+    with pytest.raises(FileError, match=r"\.stl holds one mesh without a name: write \.obj, \.glb"):
         voxtool.write_mesh(surface, tmp_path / "a.stl")
     assert not list(tmp_path.iterdir())
 
