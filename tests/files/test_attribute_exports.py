@@ -177,9 +177,7 @@ def test_nvdb(level: int, tmp_path: Path) -> None:
 
     octree = octree_at_a_place()
     job = voxtool.plan_export(octree, tmp_path / "a.nvdb", level=level)
-    assert job.plan.left_out == {
-        "attributes colour, normal, faces": ".nvdb holds label and fraction"
-    }
+    assert job.plan.left_out == {"attributes colour, normal, faces": ".nvdb holds label, fraction"}
     grids = grids_of(exported(octree, tmp_path / "a.nvdb", level=level))
     assert list(grids) == ["voxels", "label", "fraction"]
     for name in ("label", "fraction"):
@@ -389,7 +387,7 @@ def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     }
     plan = voxtool.plan_export(octree, tmp_path / "a.vdb").plan
     assert plan.left_out == {
-        "attributes faces": ".vdb holds label and fraction and colour and normal",
+        "attributes faces": ".vdb holds label, fraction, colour, normal",
         "opacity of colours": ".vdb holds red, green and blue",
     }
     plan = voxtool.plan_export(octree, tmp_path / "a.vti", invert=True).plan
@@ -400,7 +398,7 @@ def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     ("name", "options", "message"),
     [
         ("a.binvox", {"attributes": "label"}, r"\.binvox holds no attributes of voxels: choose"),
-        ("a.nvdb", {"attributes": "normal"}, r"\.nvdb holds label and fraction, not normal"),
+        ("a.nvdb", {"attributes": "normal"}, r"\.nvdb holds label, fraction, and not normal"),
         ("a.nii", {"attributes": "label,colour"}, r"holds one attribute: name one, or"),
         ("a.vti", {"attributes": "taste"}, "attribute 'taste' is unknown: choose one of label"),
         ("a.vti", {"attributes": "label,label"}, "name each once"),

@@ -49,7 +49,7 @@ def lighthouse() -> Any:
     spec = importlib.util.spec_from_file_location("make_parts", MAKE_PARTS)
     assert spec is not None
     assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
+    module: Any = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     module.TURN, module.SIDE = 6, 8
     return module

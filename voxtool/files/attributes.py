@@ -57,7 +57,7 @@ def _chosen(
         return (), {left: f"they are of set voxels, and {other[0]} asks for other values"}
     if holds == "all":
         lost = _not_held(name, there)
-        why = f"{ending(name)} holds {' and '.join(EXCHANGE[name].kinds)}"
+        why = f"{ending(name)} holds {', '.join(EXCHANGE[name].kinds)}"
         kept = tuple(one for one in there if one not in lost)
         return kept, {f"attributes {', '.join(lost)}": why} if lost else {}
     first = ("label",) if "label" in there else ()
@@ -98,8 +98,10 @@ def _asked(
     if holds == "palette" and (wrong := [one for one in names if one not in PAINTED]):
         raise VoxtoolError(f"{ending(name)} holds colours or labels, not {wrong[0]}: choose one")
     if lost := _not_held(name, names):
-        held = " and ".join(EXCHANGE[name].kinds)
-        raise VoxtoolError(f"{ending(name)} holds {held}, not {lost[0]}: choose .vdb for all")
+        held = ", ".join(EXCHANGE[name].kinds)
+        raise VoxtoolError(
+            f"{ending(name)} holds {held}, and not {lost[0]}: choose .vtkhdf or .npz"
+        )
     if holds in ("one", "palette") and len(names) > 1:
         known = ", ".join(ending(key) for key, each in EXCHANGE.items() if each.attributes == "all")
         raise VoxtoolError(f"{ending(name)} holds one attribute: name one, or choose {known}")

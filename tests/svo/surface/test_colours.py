@@ -6,6 +6,7 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from voxtool.morton import morton_decode
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.surface.isosurface import LATTICE, Isosurface
+from voxtool.svo.surface.isosurface import LATTICE
 
 REQUESTS = {
     "faces": {"style": "voxel-faces"},
@@ -137,7 +138,7 @@ def rounded(means: list[Fraction]) -> np.ndarray:
     return np.array([*light, (means[3] + Fraction(1, 2)).__floor__()], np.uint8)
 
 
-def extracted(octree: Octree, request: str, device) -> Isosurface:
+def extracted(octree: Octree, request: str, device) -> Any:
     found = plan_extract(octree, device=device, **REQUESTS[request]).run()
     assert found.colours is not None
     return found
@@ -251,9 +252,9 @@ def test_other_formats_have_the_surface_without(device, tmp_path: Path) -> None:
 def test_colours_of_a_mesh_are_written_unless_materials_multiply_them(tmp_path: Path) -> None:
     surface = voxtool.extract(OCTREES["all voxels"](), style="surface-nets")
     voxtool.write_mesh(surface, tmp_path / "a.ply")
-    mesh = voxtool.load_mesh(tmp_path / "a.ply", keep=("appearance",))
+    mesh: Any = voxtool.load_mesh(tmp_path / "a.ply", keep=("appearance",))
     voxtool.write_mesh(mesh, tmp_path / "b.glb")
-    again = voxtool.load_mesh(tmp_path / "b.glb", keep=("appearance",))
+    again: Any = voxtool.load_mesh(tmp_path / "b.glb", keep=("appearance",))
     assert np.allclose(again.colours, mesh.colours, atol=1e-7)
     red = Material("red", (1.0, 0.0, 0.0, 1.0))
     look = replace(again.appearance, materials=(red,))
