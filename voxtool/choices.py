@@ -16,7 +16,7 @@ FRACTION_TYPES = ("f4", "u2", "u1")  # of stored fractions: float32, and whole n
 # Of a voxel, at low and high x, y and z.
 FACE_NAMES = ("face_x0", "face_x1", "face_y0", "face_y1", "face_z0", "face_z1")
 OCTREE_MODES = (*MODES, "solid+surface26", "solid+fraction")
-ATTRIBUTES = ("colour", "normal")  # of the voxels of a surface
+ATTRIBUTES = ("colour", "normal", "area")  # of the voxels of a surface
 COLOURS = ("mean", "nearest")  # of a voxel: by area, or of the greatest part of the surface
 FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside
 NAMED = ("part", "material", "object")  # parts of meshes, which files name

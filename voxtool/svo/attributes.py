@@ -33,12 +33,19 @@ KINDS = {
     "label": Kind(0, ("u1", "u2", "u4"), "index of the part's name"),
     "colour": Kind(4, ("u1",), "red, green, blue in sRGB, and opacity, from 0 to 255"),
     "normal": Kind(3, ("f4",), "mean unit normal of the surface in the voxel, or 0 0 0"),
+    "area": Kind(0, ("f4",), "area of the surface in the voxel, in the mesh's unit squared"),
     "fraction": Kind(
         0, ("u1", "u2", "f4"), "share of the voxel inside; of whole numbers, times the largest one"
     ),
     "faces": Kind(
         6, ("u1", "u2", "f4"), "shares of its faces inside: at low x, high x, low y, ..., high z"
     ),
+}
+RANGES = {
+    "normal": (-1, 1),
+    "area": (0, float(np.finfo(np.float32).max)),
+    "fraction": (0, 1),
+    "faces": (0, 1),
 }
 
 
@@ -218,6 +225,6 @@ def _check_range(where: str, attribute: Attribute, array: np.ndarray) -> None:
     if attribute.name == "label" and int(array.max()) >= len(attribute.names):
         raise FileError(f"{where}: {int(array.max())} where there are {len(attribute.names)} names")
     if array.dtype.kind == "f":
-        least = -1 if attribute.name == "normal" else 0
-        if not ((array >= least) & (array <= 1)).all():
-            raise FileError(f"{where}: a number that is not from {least} to 1")
+        least, most = RANGES[attribute.name]
+        if not ((array >= least) & (array <= most)).all():
+            raise FileError(f"{where}: a number that is not from {least} to {most:.9g}")

@@ -8,7 +8,6 @@
 #include "svo/attribution/part.h"
 #include "svo/attribution/look.h"
 
-#define UNIT 4294967296.0 // 2^32: of an area of a voxel's face
 #define NO_FACE 0xFFFFFFFFu
 
 // Add a whole number of 64 bits by its halves: OpenCL 1.2 has atomics of 32 bits. The carry goes up, so
@@ -30,11 +29,11 @@ ulong whole_of(double x) { return (ulong)(x < 0 ? -(long)(0.5 - x) : (long)(x + 
 // normals are summed, and `faces_of` has the lowest triangle without an area.
 typedef struct {
     __global const uint *masks, *starts; // words of bricks, and voxels set before each
-    triangle t;
-    double3 normal;
-    double length;
-    const look *colours;
-    __global const int *faces;
+    uint face;
+    cutter parts;
+    double3 normal; // of length 1
+    double size;    // of the triangle, in 1/UNIT of a face of a voxel
+    skin colours;
     volatile __global uint *areas, *colour_sums, *normal_sums, *greatest, *faces_of;
     uint3 cell; // level-1 node of the last voxel, and its index among the active nodes
     uint node;
@@ -52,33 +51,33 @@ void put_box(painter *p, int level, ACTIVE_SET_PARAMETERS, uint3 voxel)
     if (!(mask & bit))
         return;
     const size_t index = p->starts[word] + popcount(mask & (bit - 1));
-    const part own = part_of(&p->t, voxel);
-    double u, v;
-    const double area = find_centre(&own, &u, &v) * p->length / (2.0 * VOXEL * VOXEL);
-    const ulong weight = whole_of(area * UNIT);
-    if (p->greatest) {
-        const uint size = (uint)(weight >> 2);
-        if (!p->faces_of)
-            atomic_max(&p->greatest[index], size);
-        else if (p->greatest[index] == size)
-            atomic_min(&p->faces_of[index], p->t.face);
+    const part *own = part_in(&p->parts, voxel);
+    const double area = area_of(own) * p->size;
+    const ulong weight = whole_of(area);
+    const uint size = (uint)(weight >> 2);
+    if (p->greatest && p->faces_of) {
+        if (p->greatest[index] == size)
+            atomic_min(&p->faces_of[index], p->face);
         return;
     }
+    if (p->greatest)
+        atomic_max(&p->greatest[index], size);
     if (weight == 0) {
         if (p->faces_of)
-            atomic_min(&p->faces_of[index], p->t.face);
+            atomic_min(&p->faces_of[index], p->face);
         return;
     }
-    add(p->areas + 2 * index, weight);
+    if (p->areas)
+        add(p->areas + 2 * index, weight);
     if (p->colour_sums) {
-        const double4 c = mean_colour(p->colours, p->faces, p->t.face, &own, u, v) * (area * UNIT);
+        const double4 c = mean_colour(&p->colours, own) * area;
         add(p->colour_sums + 8 * index, whole_of(c.x));
         add(p->colour_sums + 8 * index + 2, whole_of(c.y));
         add(p->colour_sums + 8 * index + 4, whole_of(c.z));
         add(p->colour_sums + 8 * index + 6, whole_of(c.w));
     }
     if (p->normal_sums) {
-        const double3 n = p->normal * (area * UNIT / p->length);
+        const double3 n = p->normal * area;
         add(p->normal_sums + 6 * index, whole_of(n.x));
         add(p->normal_sums + 6 * index + 2, whole_of(n.y));
         add(p->normal_sums + 6 * index + 4, whole_of(n.z));
@@ -88,21 +87,40 @@ void put_box(painter *p, int level, ACTIVE_SET_PARAMETERS, uint3 voxel)
 #define RECEIVER painter
 #include "svo/scan_conversion.h"
 
-// Visit the pairs of a triangle and a voxel of the masks that it touches; see `painter`.
+// Visit the pairs of a triangle and a voxel of the masks that it touches; see `painter`. Sides of voxels
+// across an axis are common ones from `inner_low` to `inner_high`: a triangle in one counts by half in
+// each of its voxels.
 __kernel void add_parts(TRIANGLES, ACTIVE_SET_PARAMETERS, LOOK, __global const uint *masks,
-                        __global const uint *starts, const double3 scale,
-                        volatile __global uint *areas, volatile __global uint *colour_sums,
-                        volatile __global uint *normal_sums, volatile __global uint *greatest,
-                        volatile __global uint *faces_of)
+                        __global const uint *starts, const double3 scale, const int3 inner_low,
+                        const int3 inner_high, volatile __global uint *areas,
+                        volatile __global uint *colour_sums, volatile __global uint *normal_sums,
+                        volatile __global uint *greatest, volatile __global uint *faces_of)
 {
+    painter p;
     triangle t;
     columns c;
     if (!take_share(THESE_TRIANGLES, TOUCHED, &t, &c))
         return;
-    const look l = {THIS_LOOK};
     const double3 normal = normal_of(&t, scale);
-    painter p = {masks, starts, t, normal, length_of(normal), &l, faces, areas, colour_sums,
-                 normal_sums, greatest, faces_of, (uint3)(~0u), 0};
+    const double length = length_of(normal);
+    int3 low, high;
+    find_bounds(&t, &low, &high);
+    const int3 side = low >> FIXED_POINT_BITS;
+    const bool halved = any(low == high && side * VOXEL == low && side >= inner_low && side <= inner_high);
+    p.masks = masks;
+    p.starts = starts;
+    p.face = t.face;
+    p.normal = length > 0 ? normal / length : normal;
+    p.size = length * (double)UNIT / ((halved ? 4.0 : 2.0) * VOXEL * VOXEL);
+    if (colour_sums)
+        p.colours = skin_of(THIS_LOOK, faces, t.face);
+    p.areas = areas;
+    p.colour_sums = colour_sums;
+    p.normal_sums = normal_sums;
+    p.greatest = greatest;
+    p.faces_of = faces_of;
+    p.cell = (uint3)(~0u);
+    open_cutter(&p.parts, &t, c.axis);
     const scan s = set_up(&t, &c, TOUCHED, level, pad);
     scan_convert(&s, &c, &p, level, ACTIVE_SET);
 }
@@ -110,7 +128,7 @@ __kernel void add_parts(TRIANGLES, ACTIVE_SET_PARAMETERS, LOOK, __global const u
 // ---- values
 
 // The values of the voxels of each word of the masks: means, or those of the triangles in `faces_of`
-// where there is no area and, with `nearest`, everywhere.
+// where there is no area and, with `nearest`, of colours everywhere.
 __kernel void finish_values(const uint n, __global const CODE *codes, __global const uint *masks,
                             __global const uint *starts, __global const int *vertices,
                             __global const int *faces, LOOK, const double3 scale, const int nearest,
@@ -121,9 +139,9 @@ __kernel void finish_values(const uint n, __global const CODE *codes, __global c
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const look l = {THIS_LOOK};
     const uint3 low = morton_decode(codes[gid >> 4]) << 3;
     size_t index = starts[gid];
+    cutter parts;
     for (uint left = masks[gid]; left; left &= left - 1, ++index) {
         const ulong area = areas ? areas[index] : 0;
         const uint face = faces_of[index];
@@ -131,22 +149,19 @@ __kernel void finish_values(const uint n, __global const CODE *codes, __global c
             continue;
         const bool alone = nearest || area == 0; // a triangle decides the colour
         triangle t;
-        part own;
-        double u, v;
-        if (alone) {
-            const uint place = (gid & 15) * 32 + popcount((left & -left) - 1u);
+        if (alone)
             t = fetch_triangle(vertices, faces, face);
-            own = part_of(&t, low + morton_decode(place));
-            find_centre(&own, &u, &v);
-        }
         if (colour_values) {
             uchar4 colour;
-            if (nearest)
-                colour = nearest_colour(&l, faces, face, u, v);
-            else if (alone)
-                colour = levels_of(mean_colour(&l, faces, face, &own, u, v));
-            else
+            if (alone) {
+                const uint place = (gid & 15) * 32 + popcount((left & -left) - 1u);
+                open_cutter(&parts, &t, 2);
+                const part *own = part_in(&parts, low + morton_decode(place));
+                const skin colours_of = skin_of(THIS_LOOK, faces, face);
+                colour = nearest ? nearest_colour(&colours_of, own) : levels_of(mean_colour(&colours_of, own));
+            } else {
                 colour = levels_of(convert_double4(vload4(index, colour_sums)) / (double)area);
+            }
             vstore4(colour, index, colour_values);
         }
         if (normal_values) {

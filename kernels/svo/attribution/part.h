@@ -19,79 +19,96 @@ linear linear_of(double a, double b, double c)
     return f;
 }
 
-// Keep what lies where f is not negative. If nothing does, the corner where f is largest stays, so that
-// a part that only touches has a place.
-void cut(part *p, linear f)
+// The part where f is not negative: `p` itself, or in `kept`. If there is none, the corner where f is
+// largest stays, so that a part that only touches has a place.
+const part *cut(const part *p, linear f, part *kept)
 {
     double side[MOST_CORNERS];
-    int best = 0, outside = 0;
+    int outside = 0;
     for (int i = 0; i < p->n; ++i) {
         side[i] = at_corner(f, p, i);
         outside += side[i] < 0;
-        best = side[i] > side[best] ? i : best;
     }
     if (outside == 0)
-        return;
+        return p;
+    int n = 0;
     if (outside == p->n) {
-        p->u[0] = p->u[best];
-        p->v[0] = p->v[best];
-        p->n = 1;
-        return;
+        int best = 0;
+        for (int i = 1; i < p->n; ++i)
+            best = side[i] > side[best] ? i : best;
+        kept->u[0] = p->u[best];
+        kept->v[0] = p->v[best];
+        kept->n = 1;
+        return kept;
     }
-    part kept;
-    kept.n = 0;
-    for (int i = 0; i < p->n; ++i) {
-        const int j = i + 1 < p->n ? i + 1 : 0;
-        if (side[i] >= 0 && kept.n < MOST_CORNERS) {
-            kept.u[kept.n] = p->u[i];
-            kept.v[kept.n++] = p->v[i];
-        }
-        if (((side[i] < 0 && side[j] > 0) || (side[i] > 0 && side[j] < 0)) &&
-            kept.n < MOST_CORNERS) {
-            const double t = side[i] / (side[i] - side[j]);
-            kept.u[kept.n] = p->u[i] + (p->u[j] - p->u[i]) * t;
-            kept.v[kept.n++] = p->v[i] + (p->v[j] - p->v[i]) * t;
-        }
+    for (int i = 0, j = p->n - 1; i < p->n; j = i++) { // each corner is written: no branches
+        n = min(n, MOST_CORNERS - 2);
+        const double t = side[j] / (side[j] - side[i]);
+        kept->u[n] = p->u[j] + (p->u[i] - p->u[j]) * t;
+        kept->v[n] = p->v[j] + (p->v[i] - p->v[j]) * t;
+        n += (side[j] < 0 & side[i] > 0) | (side[j] > 0 & side[i] < 0);
+        kept->u[n] = p->u[i];
+        kept->v[n] = p->v[i];
+        n += side[i] >= 0;
     }
-    for (int i = 0; i < kept.n; ++i) {
-        p->u[i] = kept.u[i];
-        p->v[i] = kept.v[i];
-    }
-    p->n = kept.n;
+    kept->n = n;
+    return kept;
 }
 
-// The part of a triangle in the closed cube of a voxel.
-part part_of(const triangle *t, uint3 voxel)
+// Cuts a triangle to the closed cubes of voxels: to a slab across q, in it to a row across p, in it to
+// the voxel. Slab and row are kept for the next voxel, which scan conversion takes along the third axis.
+typedef struct {
+    int axis;         // of the columns: p and q follow it
+    linear p, q, r;   // along the axes, in units from the low side of voxel 0
+    int3 least, most; // of the triangle
+    int3 last;        // the voxel before
+    part whole, slab, row, own, spare[3];
+    const part *in_slab, *in_row;
+} cutter;
+
+void open_cutter(cutter *c, const triangle *t, int axis)
 {
-    part p;
-    p.n = 3;
-    p.u[0] = 0;
-    p.u[1] = 1;
-    p.u[2] = 0;
-    p.v[0] = 0;
-    p.v[1] = 0;
-    p.v[2] = 1;
-    const int3 low = as_int3(voxel) * VOXEL;
-    const int3 least = min(min(t->v[0], t->v[1]), t->v[2]) - low,
-               most = max(max(t->v[0], t->v[1]), t->v[2]) - low;
-    const double3 a = convert_double3(t->v[0] - low), b = convert_double3(t->v[1] - low),
-                  c = convert_double3(t->v[2] - low);
-    if (least.x < 0)
-        cut(&p, linear_of(a.x, b.x, c.x));
-    if (most.x > VOXEL)
-        cut(&p, linear_of(VOXEL - a.x, VOXEL - b.x, VOXEL - c.x));
-    if (least.y < 0)
-        cut(&p, linear_of(a.y, b.y, c.y));
-    if (most.y > VOXEL)
-        cut(&p, linear_of(VOXEL - a.y, VOXEL - b.y, VOXEL - c.y));
-    if (least.z < 0)
-        cut(&p, linear_of(a.z, b.z, c.z));
-    if (most.z > VOXEL)
-        cut(&p, linear_of(VOXEL - a.z, VOXEL - b.z, VOXEL - c.z));
+    const int3 v0 = swizzle(t->v[0], axis), v1 = swizzle(t->v[1], axis), v2 = swizzle(t->v[2], axis);
+    c->axis = axis;
+    c->p = linear_of(v0.x, v1.x, v2.x);
+    c->q = linear_of(v0.y, v1.y, v2.y);
+    c->r = linear_of(v0.z, v1.z, v2.z);
+    c->least = min(min(v0, v1), v2);
+    c->most = max(max(v0, v1), v2);
+    c->last = (int3)(-1);
+    c->whole.n = 3;
+    c->whole.u[0] = c->whole.v[0] = c->whole.v[1] = c->whole.u[2] = 0;
+    c->whole.u[1] = c->whole.v[2] = 1;
+}
+
+// The part between the sides of voxel i along an axis, where the triangle has coordinate f.
+const part *between(const part *p, linear f, int i, int least, int most, part *spare, part *kept)
+{
+    const int low = i * VOXEL, high = low + VOXEL;
+    if (least < low) {
+        const linear above = {f.d - low, f.u, f.v};
+        p = cut(p, above, most > high ? spare : kept);
+    }
+    if (most > high) {
+        const linear below = {high - f.d, -f.u, -f.v};
+        p = cut(p, below, kept);
+    }
     return p;
 }
 
-// Twice the area of corners 0, i - 1 and i; the triangle itself has 1.
+const part *part_in(cutter *c, uint3 voxel)
+{
+    const int3 v = swizzle(as_int3(voxel), c->axis);
+    const bool new_slab = v.y != c->last.y;
+    if (new_slab)
+        c->in_slab = between(&c->whole, c->q, v.y, c->least.y, c->most.y, &c->spare[0], &c->slab);
+    if (new_slab || v.x != c->last.x)
+        c->in_row = between(c->in_slab, c->p, v.x, c->least.x, c->most.x, &c->spare[1], &c->row);
+    c->last = v;
+    return between(c->in_row, c->r, v.z, c->least.z, c->most.z, &c->spare[2], &c->own);
+}
+
+// Twice the area of corners 0, i - 1 and i, and of a part; the triangle itself has 1.
 double fan_area(const part *p, int i)
 {
     const double area = (p->u[i - 1] - p->u[0]) * (p->v[i] - p->v[0]) -
@@ -99,28 +116,30 @@ double fan_area(const part *p, int i)
     return area > 0 ? area : 0;
 }
 
-// Twice the area, and the centre: the centroid, or without an area the mean of the corners.
-double find_centre(const part *p, double *u, double *v)
+double area_of(const part *p)
+{
+    double area = 0;
+    for (int i = 2; i < p->n; ++i)
+        area += fan_area(p, i);
+    return area;
+}
+
+// The centroid or, without an area, the mean of the corners.
+void find_centre(const part *p, double *u, double *v)
 {
     double area = 0, su = 0, sv = 0;
     for (int i = 2; i < p->n; ++i) {
         const double a = fan_area(p, i);
-        area += a;
+        area += 3 * a;
         su += a * (p->u[0] + p->u[i - 1] + p->u[i]);
         sv += a * (p->v[0] + p->v[i - 1] + p->v[i]);
     }
-    if (area > 0) {
-        *u = su / (3 * area);
-        *v = sv / (3 * area);
-        return area;
+    for (int i = 0; area == 0 && i < p->n; ++i) {
+        su += p->u[i] / p->n;
+        sv += p->v[i] / p->n;
     }
-    for (int i = 0; i < p->n; ++i) {
-        su += p->u[i];
-        sv += p->v[i];
-    }
-    *u = su / p->n;
-    *v = sv / p->n;
-    return 0;
+    *u = area > 0 ? su / area : su;
+    *v = area > 0 ? sv / area : sv;
 }
 
 // The cross product of two edges of a triangle, twice its area long, in world units up to a common

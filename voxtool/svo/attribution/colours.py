@@ -43,10 +43,13 @@ from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 SOURCE = "svo/attribution/colours.cl"
 OPPOSED = 1 << 16  # a sum of normals shorter than this share of the area is 0
-HEADERS = {"svo/attribution/colours.h": program.c_constants(OPPOSED=OPPOSED)}
+UNIT = 1 << 32  # of an area: that of a voxel's largest face
+HEADERS = {"svo/attribution/colours.h": program.c_constants(OPPOSED=OPPOSED, UNIT=UNIT)}
 NO_FACE = np.uint32(0xFFFFFFFF)
 INSIDE_COLOUR = (128, 128, 128, 255)  # of set voxels that the surface does not meet
 AREA_BYTES, COLOUR_BYTES, NORMAL_BYTES, INDEX_BYTES = 8, 36, 36, 8  # of a surface voxel
+VALUES = {"colour": ((4,), np.uint8), "normal": ((3,), np.float32), "area": ((), np.float32)}
+TARGETS = ("areas", "colour_sums", "normal_sums", "greatest", "faces_of")  # of a pass
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class AttributePlan:
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
         own = [] if self.shared else ["surface"]
-        return [*self.octree.stages, *own, *self.names]
+        return [*self.octree.stages, *own, "attributes"]
 
     @property
     def values(self) -> int:
@@ -262,6 +265,13 @@ class SurfaceAttributesJob(Job[Octree]):
         """Remarks on the octree."""
         return self.inner.notes(result)
 
+    def _inner_sides(self) -> tuple[list[int], list[int]]:
+        """Return the first and last sides of voxels across each axis that two of them share, also
+        with one outside the window."""
+        low = self.surface.window[0] if self.surface.window else (0, 0, 0)
+        shape = self.surface.whole.shape
+        return [1 - a for a in low], [n - 1 - a for a, n in zip(low, shape, strict=True)]
+
     def _values(self, scan: Scan, active: ActiveNodes, bricks: Array) -> _Surface:
         """Return the values of all voxels in the bricks of the active nodes."""
         device, plan, count = self.device, self.plan, 16 * active.nodes.n
@@ -270,79 +280,94 @@ class SurfaceAttributesJob(Job[Octree]):
         scan.kernel(SCAN, "count_bits")(count, bricks, starts)
         n = exclusive_scan(starts, count)
         masks = bricks.get(0, 8 * active.nodes.n)
-        found: dict[str, Any] = {}
+        found = {name: np.empty((0, *VALUES[name][0]), VALUES[name][1]) for name in plan.names}
         if n:
             coloured = "colour" in plan.names
             look: dict[str, Any] = look_arguments(self.mesh, device) if coloured else NO_LOOK
-            work = _Work(device, scan, active, bricks, starts, n, look, _scale(scan))
-            for name in plan.names:
-                with self.stage(name):
-                    found[name] = work.values(name, plan.nearest)
-        empty = {"colour": np.empty((0, 4), np.uint8), "normal": np.empty((0, 3), np.float32)}
+            work = _Work(scan, active, bricks, starts, n, look, *self._inner_sides())
+            with self.stage("attributes"):
+                found.update(work.values(plan.names, plan.nearest))
         codes = active.nodes.get().astype(np.uint64)
-        values: dict[str, Any] = {name: found.get(name, empty[name]) for name in plan.names}
-        return _Surface(codes, masks, values)
-
-
-def _scale(scan: Scan) -> tuple[float, float, float]:
-    """Return what components of a cross product on the lattice are multiplied by, for a normal in
-    world units: equal ones where voxels are cubes."""
-    x, y, z = scan.mesh.grid.pitch
-    products = (y * z, z * x, x * y)
-    return tuple(one / max(products) for one in products)  # pyright: ignore[reportReturnType]
-
+        return _Surface(codes, masks, found)
 
 @dataclass
 class _Work:
     """Launches the kernels of a surface."""
 
-    device: Device
     scan: Scan
     active: ActiveNodes
     bricks: Array
     starts: Array
     n: int  # voxels
     look: dict[str, Any]
-    scale: tuple[float, float, float]
+    inner_low: Sequence[int]  # the first side of voxels across each axis that two of them share
+    inner_high: Sequence[int]  # and the last
 
-    def values(self, name: str, nearest: bool) -> np.ndarray:
-        """Return the values of an attribute, (n, channels)."""
-        device, n = self.device, self.n
-        coloured = name == "colour"
+    def values(self, names: Sequence[str], nearest: bool) -> dict[str, np.ndarray]:
+        """Return the values of attributes, (n,) or (n, channels)."""
+        device, n = self.scan.mesh.device, self.n
+        nearest = nearest and "colour" in names
+        sums: dict[str, Array] = {}
+        if not nearest or len(names) > 1:
+            sums["areas"] = device.zeros(n, np.uint64)
+        if "colour" in names and not nearest:
+            sums["colour_sums"] = device.zeros(4 * n, np.uint64)
+        if "normal" in names:
+            sums["normal_sums"] = device.zeros(3 * n, np.uint64)
         faces_of = device.put(np.full(n, NO_FACE))
-        areas = sums = None
-        if coloured and nearest:
+        if nearest:
             greatest = device.zeros(n, np.uint32)
-            self.add(greatest=greatest)
+            self.add(**sums, greatest=greatest)
             self.add(greatest=greatest, faces_of=faces_of)
         else:
-            areas = device.zeros(n, np.uint64)
-            sums = device.zeros((4 if coloured else 3) * n, np.uint64)
-            of = {"colour_sums" if coloured else "normal_sums": sums}
-            self.add(areas=areas, faces_of=faces_of, **of)
-        values = device.zeros((4 if coloured else 3) * n, np.uint8 if coloured else np.float32)
-        finish = self.scan.kernel(SOURCE, "finish_values")
-        mesh = self.scan.mesh
-        finish(
-            16 * self.active.nodes.n, self.active.nodes.codes, self.bricks, self.starts,
-            mesh.vertices, mesh.faces, **self.look, scale=self.scale,
-            nearest=int(coloured and nearest), areas=areas,
-            colour_sums=sums if coloured else None, normal_sums=None if coloured else sums,
-            faces_of=faces_of, colour_values=values if coloured else None,
-            normal_values=None if coloured else values,
-        )  # fmt: skip
-        return values.take().reshape(n, -1)
+            self.add(**sums, faces_of=faces_of)
+        values = {
+            name: device.zeros(row[0] * n, dtype)
+            for name, (row, dtype) in VALUES.items()
+            if name in names and row
+        }
+        if values:
+            self.finish(int(nearest), faces_of, sums, values)
+        found = {name: array.take().reshape(n, -1) for name, array in values.items()}
+        if "area" in names:
+            unit = max(_face_areas(self.scan)) / UNIT
+            found["area"] = (sums["areas"].get() * unit).astype(np.float32)
+        return found
 
-    def add(self, **targets: Array | None) -> None:
+    def add(self, **targets: Array) -> None:
         """Visit the pairs of triangles and voxels."""
-        names = ("areas", "colour_sums", "normal_sums", "greatest", "faces_of")
-        targets = {**dict.fromkeys(names), **targets}
         shares, triangles = self.scan.shares(0)
-        lookup = self.active.lookup
         self.scan.kernel(SOURCE, "add_parts")(
-            shares, **triangles, **lookup, **self.look, masks=self.bricks, starts=self.starts,
-            scale=self.scale, **targets,
+            shares, **triangles, **self.active.lookup, **self.look, masks=self.bricks,
+            starts=self.starts, scale=_scale(self.scan), inner_low=self.inner_low,
+            inner_high=self.inner_high, **{**dict.fromkeys(TARGETS), **targets},
         )  # fmt: skip
+
+    def finish(
+        self, nearest: int, faces_of: Array, sums: dict[str, Array], values: dict[str, Array]
+    ) -> None:
+        """Turn sums into values."""
+        mesh = self.scan.mesh
+        self.scan.kernel(SOURCE, "finish_values")(
+            16 * self.active.nodes.n, self.active.nodes.codes, self.bricks, self.starts,
+            mesh.vertices, mesh.faces, **self.look, scale=_scale(self.scan), nearest=nearest,
+            areas=sums.get("areas"), colour_sums=sums.get("colour_sums"),
+            normal_sums=sums.get("normal_sums"), faces_of=faces_of,
+            colour_values=values.get("colour"), normal_values=values.get("normal"),
+        )  # fmt: skip
+
+
+def _face_areas(scan: Scan) -> tuple[float, float, float]:
+    """Return the areas of a voxel's faces across x, y and z, in world units."""
+    x, y, z = scan.mesh.grid.pitch
+    return y * z, z * x, x * y
+
+
+def _scale(scan: Scan) -> tuple[float, float, float]:
+    """Return what components of a cross product on the lattice are multiplied by, for a normal in
+    world units: equal ones where voxels are cubes."""
+    areas = _face_areas(scan)
+    return tuple(one / max(areas) for one in areas)  # pyright: ignore[reportReturnType]
 
 
 @dataclass(frozen=True)
@@ -361,7 +386,7 @@ class _Surface:
             held, chosen = None, slice(None)
         else:
             held, chosen = self._common(octree, codes, own)
-        defaults = {"colour": INSIDE_COLOUR, "normal": (0, 0, 0)}
+        defaults = {"colour": INSIDE_COLOUR, "normal": (0, 0, 0), "area": 0}
         return [
             Attribute(name, values[chosen], values[:0], held, defaults[name])
             for name, values in self.values.items()

@@ -12,7 +12,8 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.srgb import ONE, level_bounds, linear_table
 from voxtool.opencl import Device, program
 
-MOST_TEXELS = 1024  # that a part of a triangle may cover, to be integrated exactly
+MOST_SIDE = 32  # texels along an axis that a part of a triangle may cover, to be integrated exactly
+SLIVER = 1 << 24  # a part of several texels that covers less than 1/SLIVER of one is sampled
 SAMPLES = 32  # along a side of each triangle of a part that covers more
 LIGHT_ONE = ONE  # of linear light, in kernels
 CLAMP, MIRROR = WRAPS.index("clamp"), WRAPS.index("mirror")
@@ -28,8 +29,8 @@ def _table(name: str, values: np.ndarray) -> str:
 HEADERS = {
     "svo/attribution/textures.h": "\n".join([
         program.c_constants(
-            LIGHT_ONE=LIGHT_ONE, CLAMP=CLAMP, MIRROR=MIRROR, MOST_TEXELS=MOST_TEXELS,
-            SAMPLES=SAMPLES,
+            LIGHT_ONE=LIGHT_ONE, CLAMP=CLAMP, MIRROR=MIRROR, MOST_SIDE=MOST_SIDE,
+            SAMPLES=SAMPLES, SLIVER=SLIVER,
         ),
         _table("LINEAR", linear_table()),
         _table("BOUNDS", level_bounds()),
