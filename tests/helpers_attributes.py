@@ -37,6 +37,8 @@ def attributed() -> Octree:
     colour = [rng.integers(0, 256, (n, 4)).astype(np.uint8) for n in (voxels, leaves)]
     normal = rng.uniform(-1, 1, (some, 3)).astype(np.float32)
     none = np.empty((0, 3), np.float32)
+    fraction = rng.random(some).astype("f4")
+    area = (3 * rng.random(some)).astype("f4")
     shares = np.random.default_rng(3).random((some, 6)).astype("f4")
     return replace(
         octree,
@@ -44,7 +46,8 @@ def attributed() -> Octree:
             Attribute("label", *label, names=("head", "größe", "a b")),
             Attribute("colour", *colour, default=(0, 0, 0, 0)),
             Attribute("normal", normal, none, masks, (0.0, 0.0, 0.0)),
-            Attribute("fraction", rng.random(some).astype("f4"), none[:, 0], masks, 1.0),
+            Attribute("area", area, none[:, 0], masks),
+            Attribute("fraction", fraction, none[:, 0], masks, 1.0),
             Attribute("faces", shares, shares[:0], masks, (1.0,) * 6),
         ),
     )

@@ -343,7 +343,7 @@ def test_points(tmp_path: Path) -> None:
     data = trimesh.load(tmp_path / "a.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
     places = tuple(np.argwhere(octree.to_dense()).T)
     columns = {"label": ["label"], "colour": ["red", "green", "blue", "alpha"],
-               "normal": ["nx", "ny", "nz"], "fraction": ["fraction"],
+               "normal": ["nx", "ny", "nz"], "area": ["area"], "fraction": ["fraction"],
                "faces": list(FACE_NAMES)}  # fmt: skip
     found = {
         name: np.stack([data[column] for column in own], axis=1) for name, own in columns.items()
@@ -363,7 +363,7 @@ def test_one_array_is_the_label_unless_another_is_asked_for(tmp_path: Path) -> N
     for name in [name for name, each in EXCHANGE.items() if each.attributes == "one"]:
         plan = voxtool.plan_export(octree, tmp_path / f"a.{name}").plan
         assert plan.facts["attributes"] == ["label"]
-        assert list(plan.left_out) == ["attributes colour, normal, fraction, faces"]
+        assert list(plan.left_out) == ["attributes colour, normal, area, fraction, faces"]
     plan = voxtool.plan_export(octree, tmp_path / "a.npy", attributes="none").plan
     assert "attributes" not in plan.facts
     assert plan.image.dtype == bool
@@ -383,7 +383,7 @@ def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     octree = octree_at_a_place()
     plan = voxtool.plan_export(octree, tmp_path / "%04d.png").plan
     assert plan.left_out == {
-        "attributes label, colour, normal, fraction, faces": "%04d.png holds none"
+        "attributes label, colour, normal, area, fraction, faces": "%04d.png holds none"
     }
     plan = voxtool.plan_export(octree, tmp_path / "a.vdb").plan
     assert plan.left_out == {

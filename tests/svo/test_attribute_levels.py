@@ -71,6 +71,9 @@ def expected(attribute: Attribute, values: np.ndarray, is_set: Any, own: Any) ->
     if not own.any():
         return attribute.blank
     rows = values[own]
+    if name == "area":
+        unit = 2**24 / float(attribute.values.max())
+        return sum(round(float(v) * unit) for v in rows) / unit
     if name == "normal":
         x, y, z = (sum(round(float(v) * 2**24) for v in column) for column in rows.T)
         length = float(x * x + y * y + z * z) ** 0.5

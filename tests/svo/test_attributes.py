@@ -90,13 +90,14 @@ def test_digests_cover_names_and_values() -> None:
 
 def test_attributes_that_do_not_fit_are_refused() -> None:
     octree = attributed()
-    label, _, normal, fraction, _ = octree.attributes
+    label, _, normal, area, fraction, _ = octree.attributes
     for changed, message in (
         (replace(label, values=label.values[1:]), "values for .* voxels"),
         (replace(label, leaves=label.leaves[1:]), "values for .* leaves"),
         (replace(label, names=("one",)), "where there are 1 names"),
         (replace(fraction, masks=~octree.bricks), "voxels that are not set"),
         (replace(fraction, values=fraction.values + 1), "not from 0 to 1"),
+        (replace(area, values=-area.values), "not from 0 to 3.40282347e\\+38"),
         (replace(normal, values=normal.values * np.float32(np.nan)), "not from -1 to 1"),
     ):
         with pytest.raises(FileError, match=message):

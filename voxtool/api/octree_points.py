@@ -35,7 +35,7 @@ def plan_query_svo(
     nearest : bool
         Whether the nearest set voxels are returned.
     attributes : sequence of str
-        Names of the attributes that are returned: "label", "colour", "normal", "fraction",
+        Names of the attributes that are returned: "label", "colour", "normal", "area", "fraction",
         "faces".
     device, max_memory
         As in voxelize.

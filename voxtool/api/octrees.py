@@ -139,7 +139,8 @@ def plan_voxelize(
         those that come before the others, in this order.
     attributes
         the voxels of the surface get these: "colour", of a mesh read with
-        `load_mesh(path, keep=("appearance",))`, and "normal". Other set voxels have a default.
+        `load_mesh(path, keep=("appearance",))`, "normal", and "area", in the mesh's unit squared.
+        Other set voxels have a default.
     colour
         "mean", by area and in linear light, or "nearest": as the greatest part of the surface in
         the voxel has it, so that there are no new colours.

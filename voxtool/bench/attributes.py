@@ -1,4 +1,4 @@
-"""Octrees with labels, normals and colours, beside the octree without attributes."""
+"""Octrees with labels, areas, normals and colours, beside the octree without attributes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from voxtool.choices import LABEL_STYLES, VOXEL_FACES
 from voxtool.files.mesh import load_mesh
-from voxtool.grid import Grid
+from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.appearance import Appearance
 from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.attribution.colours import plan_attributes
@@ -32,13 +32,15 @@ if TYPE_CHECKING:
 
 WORK, MESHES = "mesh to octree with attributes", "octree with attributes to meshes"
 DENSE_DIM = 128  # up to which labels are compared
+UNIT = 1 << FIXED_POINT_BITS
 PARITY: dict[str, Any] = {"fill": "parity"}
 TOO_LARGE = {"wrong": f"labels are compared up to dim {DENSE_DIM}"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model: its solid without and with labels of its shells; its surface without
-    attributes, with normals, and with colours of its vertices; and the meshes of these."""
+    attributes, with areas, with normals, with colours of its vertices, and with both; and the
+    meshes of these."""
     mesh = load_mesh(bench.model)
     painted = with_colours(mesh)
     for dim in bench.request.dims:
@@ -51,8 +53,13 @@ def measure(bench: Bench) -> Iterator[Point]:
             ("solid", solid),
             ("solid, labels of shells", labels),
             ("surface26", surface),
-            ("surface26, normals", partial(with_attribute, surface, mesh, "normal")),
-            ("surface26, colours", partial(with_attribute, surface, painted, "colour")),
+            ("surface26, areas", partial(with_attributes, surface, mesh, "area")),
+            ("surface26, normals", partial(with_attributes, surface, mesh, "normal")),
+            ("surface26, colours", partial(with_attributes, surface, painted, "colour")),
+            (
+                "surface26, colours and normals",
+                partial(with_attributes, surface, painted, "colour", "normal"),
+            ),
         ):
             job = plan(device=bench.timed)
             octree = job.run()
@@ -65,13 +72,16 @@ def measure(bench: Bench) -> Iterator[Point]:
             else:
                 plain = (solid if "solid" in method else surface)(device=bench.timed).run()
                 errors["wrong"] = float(octree.set_digest() != plain.set_digest())
+            if "areas" in method:
+                found = octree.attribute("area").values.sum(dtype=np.float64)
+                errors["area"] = abs(found / area_of(mesh, grid) - 1)
             held = sum(attribute.nbytes for attribute in octree.attributes)
             yield row(
                 work=WORK, method=method, errors=errors,
                 run=lambda device, plan=plan: plan(device=device).run(),
                 absent=absent, bytes=octree.nbytes + held, size=octree.count,
             )  # fmt: skip
-            if octree.attributes and octree.attributes[0].name != "normal":
+            if [one.name for one in octree.attributes] in (["label"], ["colour"]):
                 yield from surfaces(octree, partial(row, work=MESHES, size=octree.count))
 
 
@@ -114,9 +124,16 @@ def with_colours(mesh: Mesh) -> Mesh:
     return replace(mesh, appearance=Appearance((), none, colours=colours))
 
 
-def with_attribute(plan: Any, mesh: Mesh, name: str, device: Device) -> Job[Octree]:
-    """The job of a surface and an attribute of it."""
-    return plan_attributes(plan(device=device), mesh, (name,), device=device)
+def with_attributes(plan: Any, mesh: Mesh, *names: str, device: Device) -> Job[Octree]:
+    """The job of a surface and attributes of it."""
+    return plan_attributes(plan(device=device), mesh, names, device=device)
+
+
+def area_of(mesh: Mesh, grid: Grid) -> float:
+    """The area of a mesh on the lattice of 1/256 voxel."""
+    corners = grid.to_fixed(mesh.vertices)[mesh.faces] / UNIT * grid.pitch
+    a, b, c = np.moveaxis(corners, 1, 0)
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
 def wrong_labels(job: PartLabelsJob, octree: Octree) -> int:

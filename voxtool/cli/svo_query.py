@@ -18,6 +18,7 @@ ATTRIBUTES = {
     "label": [("label", "i8")],
     "colour": [(name, "u1") for name in ("red", "green", "blue", "alpha")],
     "normal": [(name, "f4") for name in ("nx", "ny", "nz")],
+    "area": [("area", "f4")],
     "fraction": [("fraction", "f8")],
     "faces": [(name, "f8") for name in FACE_NAMES],
 }
@@ -33,7 +34,7 @@ NEAREST = [("voxel_x", "i8"), ("voxel_y", "i8"), ("voxel_z", "i8"), ("distance",
 @flag("--nearest", "Write the nearest set voxel, too: voxel_x, _y, _z, and its centre's distance.")
 @option("--attributes", str,
     "Write these attributes of the voxels, too: label (an index of the names that svo-info lists), "
-    "colour, normal, fraction, faces.", metavar="NAME[,NAME...]")  # fmt: skip
+    "colour, normal, area, fraction, faces.", metavar="NAME[,NAME...]")  # fmt: skip
 @runner.job_options(
     "FILE", "Default POINTS's name with .voxels.npy or --format, in this folder; stdout, as CSV, "
     "for stdin.",
@@ -49,8 +50,8 @@ def command(
     Each can be - for stdin, which is the default of POINTS. A point on a plane between voxels is in
     the upper one; outside the grid nothing is set. The columns are contains; with --level
     coverage; with --nearest voxel_x, voxel_y, voxel_z, distance: -1 and inf if no voxel is set;
-    with --attributes label, -1 where nothing is set, red, green, blue, alpha, nx, ny, nz, fraction,
-    and face_x0 to face_z1: of the faces at low x, high x, low y, ...
+    with --attributes label, -1 where nothing is set, red, green, blue, alpha, nx, ny, nz, area,
+    fraction, and face_x0 to face_z1: of the faces at low x, high x, low y, ...
 
     \b
     Examples:

@@ -126,7 +126,7 @@ EXCHANGE = {
         reads=False,
         whole=True,
         attributes="all",
-        kinds=("label", "fraction"),
+        kinds=("label", "area", "fraction"),
     ),
     "vtkhdf": Exchange(
         "vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume", whole=True, attributes="all"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from voxtool.selftest import (
+    areas,
     arithmetic,
     booleans,
     digests,
@@ -36,6 +37,7 @@ CASES: tuple[Case, ...] = (
     *arithmetic.CASES,
     *voxels.CASES,
     *fractions.CASES,
+    *areas.CASES,
     *parts.CASES,
     booleans.operations,
     merging.subtrees,

@@ -172,7 +172,8 @@ def _tally_of(attribute: Attribute, side: int) -> Any:
     if attribute.name == "label":
         return _Votes(attribute)
     kinds: Any = {
-        "colour": _Colours, "normal": _Normals, "fraction": _Fractions, "faces": _Faces,
+        "colour": _Colours, "normal": _Normals, "area": _Areas, "fraction": _Fractions,
+        "faces": _Faces,
     }  # fmt: skip
     return kinds[attribute.name](attribute, side)
 
@@ -373,6 +374,20 @@ def _in_faces(n: int) -> np.ndarray:
 def _face_of(volume: int) -> int:
     """Return the faces of voxels in a face of a cube of so many voxels."""
     return round(volume ** (1 / 3)) ** 2
+
+
+class _Areas(_Sums):
+    def __init__(self, attribute: Attribute, side: int) -> None:
+        super().__init__(attribute, side)
+        most = max(float(np.max(values, initial=0)) for values in attribute.arrays[-2:])
+        self.unit = (1 << _bits_left(side, 63)) / (most or 1.0)
+
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        return np.rint(values.astype(np.float64) * self.unit).astype(self.wide)
+
+    def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
+        """Areas of cells: those of their voxels add up."""
+        return sums.astype(np.float64) / self.unit
 
 
 def _bits_left(side: int, bits: int) -> int:

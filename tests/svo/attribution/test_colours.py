@@ -21,13 +21,15 @@ from voxtool.mesh.appearance import Appearance, Material, Texture
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
+from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.attributes import BITS, check_attributes
 from voxtool.svo.attribution import look
 from voxtool.svo.attribution.colours import INSIDE_COLOUR, SurfaceAttributesJob, plan_attributes
+from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
 
-BOTH = ("colour", "normal")
+BOTH, ALL = ("colour", "normal"), ("colour", "normal", "area")
 RED, BLUE, GREEN = (255, 0, 0, 255), (0, 0, 255, 255), (0, 255, 0, 255)
 
 
@@ -211,12 +213,14 @@ def exact(
 
 
 def assert_exact(mesh: Mesh, device: Device, grid: Grid) -> None:
-    octree = run(mesh, device, grid)
-    colours, normals = (values_of(octree, name) for name in BOTH)
+    octree = run(mesh, device, grid, names=ALL)
+    colours, normals, areas = (values_of(octree, name) for name in ALL)
     parts = exact(mesh, grid)
     assert parts.keys() <= colours.keys()
+    assert not any(area for voxel, area in areas.items() if voxel not in parts)
     for voxel, rows in parts.items():
         area = sum(row[0] for row in rows)
+        assert abs(areas[voxel] - area) < 1e-8 + 1e-6 * area
         if area < 1e-3:  # rounding to 2^-32 shows beside such areas
             continue
         light = np.sum([row[1] for row in rows], axis=0) / area
@@ -460,6 +464,23 @@ def test_normals_of_a_tilted_plane_in_stretched_voxels(device: Device) -> None:
     assert not found.any()  # they cancel
 
 
+def test_areas_add_up(device: Device) -> None:
+    """Those of a box on the planes between voxels, in voxels that are no cubes; at every level."""
+    box = np.array([(x, y, z) for x in (2, 8) for y in (0, 3) for z in (2.0, 12.0)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    mesh = mesh_of(box, [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))])
+    octree = run(mesh, device, grid_of(8, 8, 8, pitch=(1.0, 0.5, 2.0)), names=("area",))
+    attribute = octree.attribute("area")
+    assert attribute.values.sum(dtype=np.float64) == 2 * (6 * 3 + 3 * 10 + 10 * 6)
+    assert values_of(octree, "area")[2, 3, 4] == 0.5 * 0.5 * 2  # half of its side across x
+    assert values_of(octree, "area")[7, 3, 4] == 0.5 * 2  # the grid ends at this one
+    for size in range(4):
+        cells = np.concatenate(
+            list(AttributeImage(VoxelImage.of(octree, level=size), "area").slabs())
+        )
+        assert abs(cells.sum(dtype=np.float64) - 216) < 1e-4, size
+
+
 # ---- modes
 
 
@@ -506,7 +527,7 @@ def test_plans_and_refusals(device: Device) -> None:
         MeshError, match="it has no colours, no materials and no textures: give a mesh"
     ):
         job_of(replace(mesh, appearance=None), device, grid_of(8))
-    with pytest.raises(VoxtoolError, match="give one or more of colour, normal, each once"):
+    with pytest.raises(VoxtoolError, match="give one or more of colour, normal, area, each"):
         job_of(mesh, device, grid_of(8), names=("colour", "colour"))
     with pytest.raises(VoxtoolError, match="colour 'x' is unknown: choose one of mean, nearest"):
         job_of(mesh, device, grid_of(8), colour="x")

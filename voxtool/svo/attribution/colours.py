@@ -1,14 +1,16 @@
-"""Colours and normals of surface voxels: a job that adds them to an octree.
+"""Colours, normals and areas of surface voxels: a job that adds them to an octree.
 
 The surface's part of each triangle in each voxel is found by clipping it to the voxel's closed
 cube [Sutherland 1974]. A voxel's colour is the mean over these parts by area, in linear light; its
 normal is the unit vector along the mean of the triangles' unit normals. Both are in float64 and
-summed as whole numbers of 2^-32, so that the order of triangles does not show. A voxel that the
-surface only touches has the values of its lowest triangle. With "nearest", the colour is that of
+summed as whole numbers of 2^-32, so that the order of triangles does not show. A triangle in the
+common side of two voxels counts by half in each. A voxel that the surface only touches has the
+values of its lowest triangle. With "nearest", the colour is that of
 the greatest part at its centroid, as texel, vertex and material have it.
 
 The stages: the octree, by its own job; the surface, as mode surface26 has it; the pairs of a
-triangle and a voxel, by scan conversion; the values. Kernels: kernels/svo/attribution/colours.cl.
+triangle and a voxel, by scan conversion, once for all attributes; the values. Kernels:
+kernels/svo/attribution/colours.cl.
 """
 
 from __future__ import annotations
@@ -79,7 +81,7 @@ class AttributePlan:
     @property
     def cost(self) -> Cost:
         """The predicted bytes."""
-        of = {"colour": COLOUR_BYTES, "normal": NORMAL_BYTES}
+        of = {"colour": COLOUR_BYTES, "normal": NORMAL_BYTES, "area": AREA_BYTES}
         each = AREA_BYTES + INDEX_BYTES + sum(of[name] for name in self.names)
         inner, surface = self.octree.cost, self.surface.cost
         device = surface.device + each * self.values + self.look
@@ -96,7 +98,7 @@ class AttributePlan:
         if "colour" in self.names and not self.texels:
             out["textures"] = "no material has one"
         if "colour" not in self.names:
-            out["colours"] = "normals alone were asked for"
+            out["colours"] = f"{' and '.join(self.names)} alone were asked for"
         if self.shared:
             out["a second scan of the surface"] = "the octree is the surface"
         return out
@@ -289,6 +291,7 @@ class SurfaceAttributesJob(Job[Octree]):
                 found.update(work.values(plan.names, plan.nearest))
         codes = active.nodes.get().astype(np.uint64)
         return _Surface(codes, masks, found)
+
 
 @dataclass
 class _Work:
