@@ -171,16 +171,18 @@ def test_tiles_of_attributes(side: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_nvdb(level: int, tmp_path: Path) -> None:
-    """Warp reads the grids of labels and fractions after that of the voxels."""
+    """Warp reads the grids of labels, areas and fractions after that of the voxels."""
     pytest.importorskip("warp")
     from helpers_warp import grids_of, values_at
 
     octree = octree_at_a_place()
     job = voxtool.plan_export(octree, tmp_path / "a.nvdb", level=level)
-    assert job.plan.left_out == {"attributes colour, normal, faces": ".nvdb holds label, fraction"}
+    assert job.plan.left_out == {
+        "attributes colour, normal, faces": ".nvdb holds label, area, fraction"
+    }
     grids = grids_of(exported(octree, tmp_path / "a.nvdb", level=level))
-    assert list(grids) == ["voxels", "label", "fraction"]
-    for name in ("label", "fraction"):
+    assert list(grids) == ["voxels", "label", "area", "fraction"]
+    for name in ("label", "area", "fraction"):
         wanted = np.pad(in_grids(name, dense_of(octree, name, level=level)), 1)
         cells = np.argwhere(np.ones_like(wanted)) - 1
         assert np.array_equal(values_at(grids[name], cells).reshape(wanted.shape), wanted)
@@ -398,7 +400,7 @@ def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     ("name", "options", "message"),
     [
         ("a.binvox", {"attributes": "label"}, r"\.binvox holds no attributes of voxels: choose"),
-        ("a.nvdb", {"attributes": "normal"}, r"\.nvdb holds label, fraction, and not normal"),
+        ("a.nvdb", {"attributes": "normal"}, r"\.nvdb holds label, area, fraction, and not normal"),
         ("a.nii", {"attributes": "label,colour"}, r"holds one attribute: name one, or"),
         ("a.vti", {"attributes": "taste"}, "attribute 'taste' is unknown: choose one of label"),
         ("a.vti", {"attributes": "label,label"}, "name each once"),

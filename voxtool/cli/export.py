@@ -70,7 +70,8 @@ def number_of(text: str) -> int | str:
         "such direction, as deep inside."),
     option("--attribute attributes", str,
         "Of an octree with attributes: those that are written (label, colour, normal, area, "
-        "fraction, faces), or none.  [default: all that the format can hold, of one array the label]",
+        "fraction, faces), or none.  [default: all that the format can hold, of one array the "
+        "label]",
         metavar="NAME[,NAME...]"),
     option("--band", POSITIVE,
         "Of a field as a level set: its half-width, in voxels.  [default: 3]", metavar="VOXELS"),

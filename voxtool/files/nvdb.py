@@ -1,8 +1,8 @@
 """Grids of NanoVDB, .nvdb, uncompressed: the tree of a .vdb, laid out for reading in place.
 
 The grid is that of vdb.py: the same cells, tiles and map, of float32; nvdb_levels.py writes that of
-vdb_levels.py. Labels, areas and fractions are grids of their own. A file has a header, a table of the
-grids, and the grids: grid, tree, root, then all upper nodes, lower nodes and leaves.
+vdb_levels.py. Labels, areas and fractions are grids of their own. A file has a header, a table of
+the grids, and the grids: grid, tree, root, then all upper nodes, lower nodes and leaves.
 An entry of a node's table is a tile's value or the distance in bytes to a child.
 [NanoVDB: Museth 2021, doi 10.1145/3450623.3464653; files of version 32.6]
 """

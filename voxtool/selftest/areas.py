@@ -33,7 +33,8 @@ def areas(device: Device, full: bool) -> float:
         exact = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
         for scale in (1.0, 1e12, 1e-12):
             mesh = mesh_from_arrays(np.asarray(corners, np.float64) / UNIT * scale, triangles)
-            grid = Grid((sides // UNIT + 1,) * 3, (0.0, 0.0, 0.0), (scale, scale, scale))
+            n = sides // UNIT + 1
+            grid = Grid((n, n, n), (0.0, 0.0, 0.0), (scale, scale, scale))
             surface = plan_voxelize(mesh, grid, "surface26", device=device)
             octree = plan_attributes(surface, mesh, ("area",)).run()
             found = octree.attribute("area").values.sum(dtype=np.float64)
