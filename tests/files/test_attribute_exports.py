@@ -389,7 +389,7 @@ def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
     }
     plan = voxtool.plan_export(octree, tmp_path / "a.vdb").plan
     assert plan.left_out == {
-        "attributes faces": ".vdb holds label, fraction, colour, normal",
+        "attributes faces": ".vdb holds label, area, fraction, colour, normal",
         "opacity of colours": ".vdb holds red, green and blue",
     }
     plan = voxtool.plan_export(octree, tmp_path / "a.vti", invert=True).plan

@@ -113,7 +113,7 @@ EXCHANGE = {
         grids=True,
         whole=True,
         attributes="all",
-        kinds=("label", "fraction", "colour", "normal"),
+        kinds=("label", "area", "fraction", "colour", "normal"),
         opacity=False,
     ),
     "vox": Exchange(

@@ -138,16 +138,17 @@ def test_components_and_cavities_keep_labels(device) -> None:
 
 def test_a_note_names_what_is_not_kept(here, device) -> None:
     """Of combinations, morphology, components, resampling, thinning and merging; none if all is."""
-    one = replace(whole := attributed(), attributes=whole.attributes[:4])
+    names, whole = ("label", "colour", "normal", "fraction"), attributed()
+    one = replace(whole, attributes=tuple(map(whole.attribute, names)))
     write_svo(one, "a.svo.h5")
     write_svo(replace(one, attributes=one.attributes[:3]), "b.svo.h5")
-    fraction = 'not kept: the attributes area and fraction (docs/attributes.md, "Changed octrees")'
+    fraction = 'not kept: the attribute fraction (docs/attributes.md, "Changed octrees")'
     lines = ("combine a.svo.h5 a.svo.h5", "morph a.svo.h5 --dilate 1", "morph a.svo.h5 --keep 1")
     for line in lines:
         assert f"voxtool: {fraction}\n" in run(f"{line} -o c.svo.h5").stderr, line
         other = run(f"{line.replace('a.svo', 'b.svo')} -o c.svo.h5")
         assert "not kept" not in other.stderr, line
-    every = fraction.replace("attributes ", "attributes label and colour and normal and ")
+    every = fraction.replace("attribute ", "attributes label, colour, normal, ")
     for line in ("morph a.svo.h5 --resample --dim 20", "svo-dag a.svo.h5"):
         assert f"voxtool: {every}\n" in run(f"{line} -o c.svo.h5").stderr, line
         assert every in told(f"{line} -o c.svo.h5 --json")["notes"], line

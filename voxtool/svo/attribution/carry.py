@@ -134,7 +134,7 @@ def lost(octrees: Sequence[OctreeContent], kept: Sequence[Attribute] = ()) -> It
     for one in kept:
         names.pop(one.name, None)
     if names:
-        yield f"not kept: the attribute{'s' * (len(names) > 1)} {' and '.join(names)} ({KEPT})"
+        yield f"not kept: the attribute{'s' * (len(names) > 1)} {', '.join(names)} ({KEPT})"
 
 
 def _has(octree: Octree, name: str) -> bool:
