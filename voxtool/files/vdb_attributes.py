@@ -24,7 +24,7 @@ from voxtool.files.vdb_encode import (
     packed,
     tiles_with,
 )
-from voxtool.mesh.srgb import to_linear
+from voxtool.mesh.srgb import LEVELS, to_linear
 from voxtool.svo.attribute_image import AttributeImage
 
 TYPES = {(): "Tree_float_5_4_3", (3,): "Tree_vec3s_5_4_3"}  # by the shape of a value
@@ -34,8 +34,9 @@ MOST = 1 << 24  # whole numbers that float32 holds
 def shown(name: str, values: np.ndarray) -> np.ndarray:
     """Return values of an attribute as a grid holds them."""
     if name == "colour":
-        values = to_linear(values[..., :3])
-    elif name == "fraction" and values.dtype.kind == "u":
+        levels = to_linear(np.arange(LEVELS + 1, dtype=np.uint8)).astype(FLOAT)
+        return levels[values[..., :3]]
+    if name == "fraction" and values.dtype.kind == "u":
         values = values / np.iinfo(values.dtype).max
     return values.astype(FLOAT)
 
