@@ -52,7 +52,7 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
     for level in ("voxel", 1):
         yield f"page, level {level}", plan_view(octree, "a", level=level).plan.content.digest()
     for style in LABEL_STYLES:
-        surface = voxtool.extract(octree, by="label", style=style)
+        surface = voxtool.extract(octree, by="label", style=style, device=device)
         yield f"{style} by label", surface.digest()
     of_colour = replace(octree, attributes=(octree.attribute("colour"),))
     for style, more in COLOURED:

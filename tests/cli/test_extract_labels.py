@@ -101,9 +101,13 @@ def test_report(folder: Path) -> None:
     assert f"  low: {surface.triangles[0]:,} triangles\n" in text
 
 
-def test_colours_are_left_out_with_a_word(folder: Path) -> None:
+def test_colours(folder: Path) -> None:
     voxtool.write_svo(attributed(), "a.svo.h5")
-    assert "voxtool: colours are left out: --by label" in run("extract a.svo.h5 --by label").stderr
+    said = run("extract a.svo.h5 --by label -o a.obj").stderr
+    assert "voxtool: colours are left out: meshes of labels have them in .glb\n" in said
+    found = run("extract a.svo.h5 --by label -o a.glb --json").stdout
+    assert json.loads(found)["coloured"]
+    assert voxtool.load_mesh("a.glb", keep=("appearance",)).colours is not None
     assert "colours" not in run("extract two.svo.h5 --by label -o a.obj").stderr
 
 

@@ -295,7 +295,8 @@ def plan_extract(
                 "by label, samples are voxels: leave out level, isovalue, merge, source, offset "
                 "and shell"
             )
-        return plan_labelled(found, by=by, style=style or LABEL_STYLES[0], max_memory=max_memory)
+        style = style or LABEL_STYLES[0]
+        return plan_labelled(found, by=by, style=style, device=device, max_memory=max_memory)
     style = style or STYLES[0]
     if isinstance(found, DistanceField):
         if (level, isovalue, merge) != (None, 0.5, False) or style not in (STYLES[0], SHARP):

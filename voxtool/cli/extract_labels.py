@@ -11,6 +11,7 @@ from voxtool.cli import runner
 from voxtool.errors import CheckError, VoxtoolError, printable
 
 SHOWN = 10  # labels that the report lists
+COLOURED = "glb"  # the format whose meshes have vertices of their own, with colours
 
 
 def extract_labels(
@@ -40,14 +41,16 @@ def extract_labels(
         with run.naming(octree):
             if isinstance(shape, DistanceField):
                 raise VoxtoolError("a field has no labels: --by is of octrees")
+            run.on_device = run.file_format == COLOURED and has_colours(shape)
             job = run.plan(plan_labelled, shape, by=by, style=style)
+            if job.plan.colours and not run.on_device:
+                run.notes.append(f"colours are left out: meshes of labels have them in .{COLOURED}")
+                job = job.with_(colours=False)
             surface: LabelledSurface = run.job(
                 job, ["check"] * check, empty=lambda surface: not len(surface.faces)
             )
         labels = run.stage("check", surface.facts, True) if check else surface.facts()
         run.write(write_mesh, surface)
-        if has_colours(shape):
-            run.notes.append(f"colours are left out: --by {by} writes shapes and names alone")
         if run.as_json or check:
             facts = {
                 "dim": surface.grid.dim,
@@ -56,6 +59,7 @@ def extract_labels(
                 "vertices": len(surface.points),
                 "triangles": len(surface.faces),
                 "labels": labels,
+                "coloured": len(surface.colours) > 0,
                 "digest": surface.digest(),
             }
     run.report(

@@ -9,6 +9,7 @@ name in the colour of the palette; how it is packed depends on the version of zl
 from __future__ import annotations
 
 import zipfile
+from dataclasses import replace
 from typing import IO, TYPE_CHECKING, BinaryIO
 from xml.sax.saxutils import quoteattr
 
@@ -58,6 +59,7 @@ def write_glb(surface: LabelledSurface, file: BinaryIO, limit: int = BYTES) -> N
 
 def write_3mf(surface: LabelledSurface, file: BinaryIO) -> None:
     """Write a 3MF in the surface's unit, or millimetres if it is unknown."""
+    surface = replace(surface, colours=())
     if LINE_BYTES * 2 * len(surface.faces) > MOST_TEXT:
         raise FileError("3MF holds 2 GiB of text at most and these meshes have more: write .glb")
     units = {short: long for long, short in UNITS.items()}

@@ -10,20 +10,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_attributes import scattered, sizes
+from helpers_attributes import attributed, label_array, scattered, sizes
 from helpers_octree import ball
 
 import voxtool
+from voxtool.choices import LABEL_STYLES, VOXEL_FACES
 from voxtool.errors import FileError
 from voxtool.files.formats import COLOUR_FORMATS
 from voxtool.mesh import srgb
 from voxtool.mesh.appearance import Material
-from voxtool.mesh.topology import check_surface
+from voxtool.mesh.topology import check_surface, closed_chain
 from voxtool.morton import morton_decode
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.surface.isosurface import LATTICE
+from voxtool.svo.surface.labelled import plan_labelled
 
 REQUESTS = {
     "faces": {"style": "voxel-faces"},
@@ -160,6 +162,33 @@ def test_against_exact_fractions(device, name: str, request_: str) -> None:
     bare = plan_extract(octree, device=device, **REQUESTS[request_]).with_(colours=False).run()
     assert bare.colours is None
     assert bare.digest() == replace(surface, colours=None).digest() != surface.digest()
+
+
+@pytest.mark.parametrize("style", LABEL_STYLES)
+def test_meshes_of_labels(device, style: str) -> None:
+    """Each mesh has colours of its own label's voxels, where vertices have such around them."""
+    octree = replace(attributed(), attributes=attributed().attributes[:2])
+    surface = plan_labelled(octree, style=style, device=device).run()
+    oracle, labels = Oracle(octree, 1), label_array(octree)
+    for label, colours in zip(surface.labels, surface.colours, strict=True):
+        faces = surface.faces_of(label)
+        own = Oracle(octree, 1)
+        within = tuple(slice(n) for n in labels.shape)
+        own.own[within] &= labels == label
+        rows = faces if style == VOXEL_FACES else np.unique(faces)
+        assert len(colours) == len(rows)
+        for n in np.random.default_rng(7).permutation(len(rows))[:80]:
+            if style == VOXEL_FACES:
+                wanted = oracle.face(surface.points[rows[n]])
+            else:
+                wanted = own.vertex(surface.points[rows[n]])
+            assert colours[n].tolist() == wanted.tolist()
+        mesh = surface.mesh(label)
+        assert closed_chain(mesh)
+        assert mesh.colours is not None
+    bare = plan_labelled(octree, style=style).with_(colours=False).run()
+    assert bare.colours == ()
+    assert bare.digest() == replace(surface, colours=()).digest() != surface.digest()
 
 
 def test_plan(device) -> None:

@@ -34,7 +34,13 @@ def has_colours(octree: Octree) -> bool:
 
 
 def surface_colours(
-    octree: Octree, style: str, side: int, points: np.ndarray, faces: np.ndarray, device: Device
+    octree: Octree,
+    style: str,
+    side: int,
+    points: np.ndarray,
+    faces: np.ndarray,
+    device: Device | None,
+    labels: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the colours of a surface, uint8 in sRGB and opacity: of its vertices, (V, 4), or of
     voxel faces those of its triangles, (F, 4).
@@ -43,6 +49,7 @@ def surface_colours(
     ----------
     octree : has the attribute.
     style, side, points, faces : as those of an Isosurface.
+    labels : (V,), of the voxels that give each vertex its colour; None: all do.
     """
     cells = _Cells(octree, side, device)
     rows = faces if style == VOXEL_FACES else points
@@ -52,14 +59,14 @@ def surface_colours(
         if style == VOXEL_FACES:
             found[part] = cells.behind(points[faces[part]])
         else:
-            found[part] = cells.around(points[part])
+            found[part] = cells.around(points[part], None if labels is None else labels[part])
     return found
 
 
 class _Cells:
     """The cells of an octree whose voxels have colours."""
 
-    def __init__(self, octree: Octree, side: int, device: Device) -> None:
+    def __init__(self, octree: Octree, side: int, device: Device | None) -> None:
         colour = octree.attribute(COLOUR)
         inside = sum(int(level.inside.sum()) for level in octree.levels() if level.number)
         leaves = np.full(inside, len(colour.leaves) > 0 or colour.masks is None)
@@ -68,12 +75,13 @@ class _Cells:
         self.values = CellValues(self.coloured, COLOUR, self.size)
         self.blank = colour.blank
 
-    def of(self, cells: np.ndarray) -> np.ndarray:
-        """Return the colours of cells, (..., 4); 0 of those without."""
+    def of(self, cells: np.ndarray, values: CellValues | None = None) -> np.ndarray:
+        """Return the colours of cells, (..., 4), or other values of theirs; 0 of those without."""
+        values = values or self.values
         within = (cells >= 0).all(axis=-1)
         distinct, places = np.unique(morton_encode(cells[within]), return_inverse=True)
-        found = np.zeros((*within.shape, 4), np.uint8)
-        found[within] = values_of_cubes(self.values, distinct, self.size)[places.ravel()]
+        found = np.zeros((*within.shape, *values.row), values.dtype)
+        found[within] = values_of_cubes(values, distinct, self.size)[places.ravel()]
         return found
 
     def behind(self, corners: np.ndarray) -> np.ndarray:
@@ -84,12 +92,16 @@ class _Cells:
         found = self.of((low >> LATTICE_BITS) - (outward > 0))
         return self._filled(found, found[:, 3] > 0, (low + high) / 2)
 
-    def around(self, points: np.ndarray) -> np.ndarray:
+    def around(self, points: np.ndarray, labels: np.ndarray | None) -> np.ndarray:
         """Return the colours of vertices, (n, 4)."""
         cells, rest = np.divmod(points.astype(np.int64) - LATTICE // 2, LATTICE)
         values = self.of(cells[:, None] + CORNERS)
         weights = np.where(CORNERS, rest[:, None], LATTICE - rest[:, None]).prod(axis=2)
-        weights = np.where(values[..., 3] > 0, weights, 0).astype(np.float64)
+        has = values[..., 3] > 0
+        if labels is not None:
+            of_voxels = CellValues(self.coloured, "label", self.size)
+            has &= self.of(cells[:, None] + CORNERS, of_voxels) == labels[:, None]
+        weights = np.where(has, weights, 0).astype(np.float64)
         total = weights.sum(axis=1)
         channels = np.concatenate([srgb.linear_table()[values[..., :3]], values[..., 3:]], axis=2)
         sums = sum(weights[:, i, None] * channels[:, i] for i in range(len(CORNERS)))

@@ -150,19 +150,9 @@ class Isosurface(Data):
     def coloured(self) -> tuple[Mesh, np.ndarray]:
         """Return the mesh with its colours, and the vertex of the surface that each of its vertices
         is, (n,) int. A vertex of voxel faces is repeated for each colour around it."""
-        mesh, colours = self.mesh(), self.colours
-        if colours is None or len(colours) == 0:
-            return mesh, np.arange(len(self.points))
-        origin, faces = np.arange(len(self.points)), self.faces
-        if self.style == VOXEL_FACES:
-            packed = np.repeat(np.ascontiguousarray(colours).view("<u4"), 3).astype(np.uint64)
-            keys = self.faces.ravel().astype(np.uint64) << np.uint64(32) | packed
-            _, first, corners = np.unique(keys, return_index=True, return_inverse=True)
-            origin, faces = self.faces.ravel()[first], corners.reshape(-1, 3).astype(np.int32)
-            colours = colours[first // 3]
-        light = np.concatenate([srgb.to_linear(colours[:, :3]), colours[:, 3:] / 255], axis=1)
-        look = Appearance((), np.full(len(faces), -1, np.int32), None, light)
-        return replace(mesh, vertices=self.vertices[origin], faces=faces, appearance=look), origin
+        if self.colours is None or len(self.colours) == 0:
+            return self.mesh(), np.arange(len(self.points))
+        return painted(self.mesh(), self.colours, self.style)
 
     def check(self) -> dict[str, Any]:
         """Return whether the surface is closed, its volume in cubic world units, and the counts of
@@ -194,6 +184,21 @@ class Isosurface(Data):
         head = head_of(self.grid, self.style, self.level, self.isovalue, self.merged)
         colours = [] if self.colours is None else [self.colours]
         return digest_of(head, self.points, self.faces, *colours)
+
+
+def painted(mesh: Mesh, colours: np.ndarray, style: str) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with the colours of its vertices, or of voxel faces those of its triangles, and
+    the vertex of the mesh that each of its vertices is, (n,) int."""
+    origin, faces = np.arange(len(mesh.vertices)), mesh.faces
+    if style == VOXEL_FACES:
+        packed = np.repeat(np.ascontiguousarray(colours).view("<u4"), 3).astype(np.uint64)
+        keys = faces.ravel().astype(np.uint64) << np.uint64(32) | packed
+        _, first, corners = np.unique(keys, return_index=True, return_inverse=True)
+        origin, faces = faces.ravel()[first], corners.reshape(-1, 3).astype(np.int32)
+        colours = colours[first // 3]
+    light = np.concatenate([srgb.to_linear(colours[:, :3]), colours[:, 3:] / 255], axis=1)
+    look = Appearance((), np.full(len(faces), -1, np.int32), None, light)
+    return replace(mesh, vertices=mesh.vertices[origin], faces=faces, appearance=look), origin
 
 
 def head_of(

@@ -24,10 +24,12 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import closed_chain, volume
+from voxtool.opencl import Device
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.borders import AT_ONCE, Blocks, find_borders
-from voxtool.svo.surface.isosurface import in_world
+from voxtool.svo.surface.colours import has_colours, surface_colours
+from voxtool.svo.surface.isosurface import in_world, painted
 from voxtool.svo.surface.junctions import corner_points, net_of, relaxed_points, split
 from voxtool.svo.surface.plan import RELAXATIONS
 
@@ -60,6 +62,9 @@ class LabelledSurface(Data):
     sides
         (F, 2) int32, the label behind each triangle and that before it, from where its corners are
         counter-clockwise; -1 where no voxel is set. Between two labels the lower one is behind.
+    colours
+        of the mesh of each of `labels`, uint8, sRGB and opacity: (n, 4) of its vertices, or with
+        voxel faces of its triangles; () if the octree has none, or they were not requested.
     """
 
     grid: Grid
@@ -69,6 +74,7 @@ class LabelledSurface(Data):
     points: np.ndarray
     faces: np.ndarray
     sides: np.ndarray
+    colours: tuple[np.ndarray, ...] = ()
 
     def __repr__(self) -> str:
         return (
@@ -113,14 +119,17 @@ class LabelledSurface(Data):
 
     def mesh(self, label: int | str) -> Mesh:
         """Return the closed mesh of a label or of its name, in world units, with those vertices
-        that it has; VoxtoolError if no label has the name."""
+        that it has, and its colours; VoxtoolError if no label has the name."""
         if isinstance(label, str):
             if label not in self.names:
                 raise VoxtoolError(f"no label is named {label!r}: it has {', '.join(self.names)}")
             label = self.names.index(label)
         used, faces = np.unique(self.faces_of(label), return_inverse=True)
         faces = faces.reshape(-1, 3).astype(np.int32)
-        return Mesh(self.vertices[used], faces, name=self.names[label], units=self.units)
+        mesh = Mesh(self.vertices[used], faces, name=self.names[label], units=self.units)
+        if not self.colours:
+            return mesh
+        return painted(mesh, self.colours[self.labels.index(label)], self.style)[0]
 
     def meshes(self) -> list[Mesh]:
         """Return the meshes of the labels that have triangles, which are named after them."""
@@ -142,10 +151,11 @@ class LabelledSurface(Data):
         return found
 
     def digest(self) -> str:
-        """Return the SHA-256 of grid, style, names, points, faces and sides, in little-endian
-        order. Equal content has an equal digest on every device and platform."""
+        """Return the SHA-256 of grid, style, names, points, faces and sides, and of colours if
+        there are any, in little-endian order. Equal content has an equal digest on every device and
+        platform."""
         head = {**self.grid.exact, "style": self.style, "names": list(self.names)}
-        return digest_of(head, self.points, self.faces, self.sides)
+        return digest_of(head, self.points, self.faces, self.sides, *self.colours)
 
 
 @dataclass(frozen=True)
@@ -157,19 +167,24 @@ class LabelledPlan:
     bricks: int  # that have set voxels
     faces: int  # predicted, then counted: between voxels of different labels
     relaxations: int
+    coloured: bool = False  # the octree's voxels have colours
+    colours: bool = False  # and so will the meshes
 
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
         relax = ["relax"] if self.relaxations else []
-        return ["labels", "borders", "vertices", *relax, "triangles"]
+        return ["labels", "borders", "vertices", *relax, "triangles", *["colours"] * self.colours]
 
     @property
     def left_out(self) -> dict[str, str]:
         """The parts that do not run, each with the reason."""
-        out = {"the device": "faces between labels are few, and are found brick by brick"}
+        device = "the device, but for nearest colours" if self.colours else "the device"
+        out = {device: "faces between labels are few, and are found brick by brick"}
         if not self.relaxations:
             out["relaxation"] = "voxel faces lie on the corners of voxels"
+        if self.coloured and not self.colours:
+            out["colours"] = "the meshes are written without"
         return out
 
     @property
@@ -221,9 +236,11 @@ def plan_labelled(
     *,
     by: str = LABEL,
     style: str = SURFACE_NETS,
+    device: Device | None = None,
     max_memory: int | None = None,
 ) -> LabelledJob:
-    """Return the planned extraction of one mesh for each label; see voxtool.extract."""
+    """Return the planned extraction of one mesh for each label; see voxtool.extract. The device
+    finds nearest voxels with a colour, where some have none."""
     style = STYLE_ALIASES.get(style, style)
     if by not in BY:
         raise VoxtoolError(f"by {by!r} is unknown: choose {' or '.join(BY)}")
@@ -246,12 +263,14 @@ def plan_labelled(
         bricks=bricks,
         faces=BRICK_FACES * bricks,
         relaxations=RELAXATIONS if style == SURFACE_NETS else 0,
+        coloured=has_colours(octree),
+        colours=has_colours(octree),
     )
-    return LabelledJob(octree, plan, max_memory)
+    return LabelledJob(octree, plan, device, max_memory)
 
 
 class LabelledJob(Job[LabelledSurface]):
-    """The planned extraction of one mesh for each label, on the host.
+    """The planned extraction of one mesh for each label, on the host but for nearest voxels.
 
     Attributes
     ----------
@@ -264,8 +283,11 @@ class LabelledJob(Job[LabelledSurface]):
     plan: LabelledPlan
     device = None
 
-    def __init__(self, octree: Octree, plan: LabelledPlan, max_memory: int | None) -> None:
+    def __init__(
+        self, octree: Octree, plan: LabelledPlan, nearest: Device | None, max_memory: int | None
+    ) -> None:
         self.octree, self.plan, self.max_memory = octree, plan, max_memory
+        self.nearest = nearest
 
     def _run(self) -> LabelledSurface:
         octree, plan = self.octree, self.plan
@@ -288,7 +310,7 @@ class LabelledJob(Job[LabelledSurface]):
             quads = np.where(up[:, None], net.quads, net.quads[:, [0, 3, 2, 1]])
             sides = np.where(up[:, None], np.stack([low, high], 1), np.stack([high, low], 1))
             faces = split(quads, points).reshape(-1, 3)
-        return LabelledSurface(
+        surface = LabelledSurface(
             grid=octree.grid,
             units=octree.units,
             style=plan.style,
@@ -297,6 +319,23 @@ class LabelledJob(Job[LabelledSurface]):
             faces=faces,
             sides=np.repeat(sides, 2, axis=0),
         )
+        return self._with_colours(surface) if plan.colours and len(faces) else surface
+
+    def _with_colours(self, surface: LabelledSurface) -> LabelledSurface:
+        """Return the surface with the colours of its meshes."""
+        with self.stage("colours"):
+            labels, points = surface.labels, surface.points
+            faces = [surface.faces_of(label) for label in labels]
+            rows = faces
+            if surface.style != VOXEL_FACES:
+                rows = [np.unique(own) for own in faces]
+                points = points[np.concatenate([points[:0, 0], *rows])]
+            counts = [len(own) for own in rows]
+            found = surface_colours(
+                self.octree, surface.style, 1, points, np.concatenate([surface.faces[:0], *faces]),
+                self.nearest, np.repeat(labels, counts),
+            )  # fmt: skip
+        return replace(surface, colours=tuple(np.split(found, np.cumsum(counts)[:-1])))
 
     def findings(self, result: LabelledSurface) -> Iterator[str]:
         """Yield why the surface is empty, and which labels have no voxel."""
