@@ -104,6 +104,9 @@ def attributed(mesh: voxtool.Mesh, grid: voxtool.Grid, device: Any) -> Iterator[
     for mode, labels in (("surface26", thirds), ("surface6", thirds), ("solid", "shell")):
         octree = voxtool.voxelize(mesh, grid, mode, labels=labels, fill="parity", device=device)
         yield f"labels {mode} {grid.dim}", octree.digest()
+    more = {"labels": thirds, "fill": "nonzero", "device": device}
+    octree = voxtool.voxelize(mesh, grid, "fraction", **more)
+    yield f"labels fraction {grid.dim}", octree.digest()
     colours = np.mod(np.arange(4 * len(mesh.vertices)), 7).reshape(-1, 4) / 8
     look = Appearance((), np.full(len(mesh.faces), -1, np.int32), colours=colours)
     coloured = replace(mesh, appearance=look)

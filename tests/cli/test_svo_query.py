@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,10 @@ def test_svo_info_lists_labels(here: Path) -> None:
     assert [(row["label"], row["name"], row["voxels"]) for row in rows] == [
         (number, name, counts[number]) for number, name in enumerate(("head", "größe", "a b"))
     ]
-    assert rows[1]["volume"] == counts[1] * octree.grid.voxel_volume
-    text = run("svo-info parts.svo.h5").stdout
-    assert f"      1 {counts[1]:>19,}   {counts[1]:<16} größe" in text.splitlines()
+    shares = np.concatenate(list(AttributeImage(VoxelImage.of(octree), "fraction").slabs()))
+    assert rows[1]["volume"] == pytest.approx(shares[dense == 2].sum(dtype=float), rel=1e-12)
+    plain = replace(octree, attributes=octree.attributes[:1]).summary()
+    found = plain["attributes"]["label"]["labels"]
+    assert [row["volume"] for row in found] == counts
+    text, volume = run("svo-info parts.svo.h5").stdout, f"{rows[1]['volume']:.9g}"
+    assert f"      1 {counts[1]:>19,}   {volume:<16} größe" in text.splitlines()

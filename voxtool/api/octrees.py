@@ -42,6 +42,7 @@ from voxtool.svo import voxelize as svo
 from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
 from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
 from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
+from voxtool.svo.attribution.part_fractions import plan_part_fractions
 from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.octree import Octree
@@ -133,10 +134,12 @@ def plan_voxelize(
         the octree gets the attribute "label": by "part", "material" or "object" of the mesh, read
         with `load_mesh(path, keep=("parts",))`, by "shell", by the "file" of joined meshes, or by
         Parts. Each part is filled by its own fill rule. In a surface, a voxel has the label whose
-        triangles have the greatest area there, of equal ones the lower.
+        triangles have the greatest area there, of equal ones the lower; for "fraction" the one that
+        has the greatest share of it.
     priority
-        of parts that share a voxel of a solid: the "first" counts, or the "last", or the names of
-        those that come before the others, in this order.
+        of parts that share a voxel of a solid, or that have equal shares of it with "fraction": the
+        "first" counts, or the "last", or the names of those that come before the others, in this
+        order.
     attributes
         the voxels of the surface get these: "colour", of a mesh read with
         `load_mesh(path, keep=("appearance",))`, "normal", and "area", in the mesh's unit squared.
@@ -186,14 +189,16 @@ def plan_voxelize(
     found = as_mesh(mesh, max_memory, keep)
     placed = grid_of(found, grid, dim, pitch)
     if mode == FRACTION:
-        if with_surface or gap or labels is not None or attributes:
-            raise VoxtoolError(
-                "mode 'fraction' has no surface, gap, labels and attributes: drop them"
-            )
-        return plan_fractions(
-            found, placed, fill=fill, kind=fraction_type or FRACTION_TYPES[0],
-            faces=face_fractions, window=window, device=device, max_memory=max_memory,
-        )  # fmt: skip
+        if with_surface or gap or attributes:
+            raise VoxtoolError("mode 'fraction' has no surface, gap and attributes: drop them")
+        options: Any = {"fill": fill, "kind": fraction_type or FRACTION_TYPES[0]}
+        options |= {"device": device, "max_memory": max_memory}
+        if labels is None:
+            return plan_fractions(found, placed, faces=face_fractions, window=window, **options)
+        if face_fractions or window is not None:
+            raise VoxtoolError("fractions of labels are of whole grids, and not of faces: drop "
+                               "face_fractions and the window")  # fmt: skip
+        return plan_part_fractions(found, placed, labels=labels, priority=priority, **options)
     if fraction_type is not None or face_fractions:
         name = "face_fractions" if face_fractions else "fraction_type"
         raise VoxtoolError(f"{name} goes with mode 'fraction', not {mode!r}")

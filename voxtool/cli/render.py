@@ -429,7 +429,7 @@ def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndar
         from voxtool.plots.label_legend import draw_label_legend
         from voxtool.svo.label_counts import label_counts
 
-        counts, names = label_counts(scene.content), scene.content.attribute(LABEL).names
+        (counts, _), names = label_counts(scene.content), scene.content.attribute(LABEL).names
         rows = [(n, printable(name)) for n, name in enumerate(names) if counts[n]]
         legend = draw_label_legend(rows, len(picture), background=background)
         return np.concatenate([picture, legend], axis=1)

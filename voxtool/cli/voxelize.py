@@ -80,8 +80,9 @@ if TYPE_CHECKING:
         "the file names, a shell, or of several meshes the file.  They become one octree, which -o "
         "names."),
     option("--priority", str,
-        "With --labels: of parts that share a voxel of a solid the first or the last counts, or "
-        "those that are named, in this order, before the others.  [default: first]",
+        "With --labels: of parts that share a voxel of a solid, or with --mode fraction have equal "
+        "shares of it, the first or the last counts, or those that are named, in this order, "
+        "before the others.  [default: first]",
         metavar="first|last|NAME,..."),
     option("--attributes", options.List(click.Choice(ATTRIBUTES)),
         f"Of the voxels of the surface: {', '.join(ATTRIBUTES)} (SVO 3.0).  Colours are those of "
@@ -133,8 +134,8 @@ def command(
         name = "--face-fractions" if face_fractions else "--fraction-type"
         raise click.UsageError(f"{name} goes with --mode {FRACTION}, not {mode}")
     if mode == FRACTION:
-        given = {"--with-surface": with_surface, "--labels": labels, "--attributes": attributes,
-                 "--dag": dag, "--dask": dask, "--resume": resume}  # fmt: skip
+        given = {"--with-surface": with_surface, "--attributes": attributes, "--dag": dag,
+                 "--dask": dask, "--resume": resume}  # fmt: skip
         check_fraction(fill, {**given, "--windows": windows != "auto"})
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
@@ -147,6 +148,8 @@ def command(
                                         "--resume": resume})  # fmt: skip
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
+    if labels and face_fractions:
+        raise click.UsageError("--face-fractions are of a solid without --labels: drop one")
     if priority and not labels:
         raise click.UsageError("--priority goes with --labels: give both")
     if labels and (dag or thin or resume or dask):
@@ -156,6 +159,7 @@ def command(
     from voxtool.svo.attribution.colours import plan_attributes
     from voxtool.svo.attribution.fraction import plan_fractions
     from voxtool.svo.attribution.labels import plan_labels
+    from voxtool.svo.attribution.part_fractions import plan_part_fractions
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.thin import plan_thin
     from voxtool.svo.voxelize import plan_voxelize
@@ -178,8 +182,12 @@ def command(
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job: Any
         if mode == FRACTION:
-            request = {"kind": fraction_type or FRACTION_TYPES[0], "faces": face_fractions}
-            job = run.plan(plan_fractions, loaded, grid, fill=fill, **request)
+            request = {"fill": fill, "kind": fraction_type or FRACTION_TYPES[0]}
+            if labels:
+                request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
+                job = run.plan(plan_part_fractions, loaded, grid, **request)
+            else:
+                job = run.plan(plan_fractions, loaded, grid, faces=face_fractions, **request)
         elif labels:
             request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
             job = run.plan(plan_labels, loaded, grid, mode, **request)
@@ -288,13 +296,16 @@ def attributes_of(octree: Any) -> dict[str, Any]:
 
 
 def volumes_of(octree: Any) -> dict[str, float]:
-    """Return the volume of an octree with fractions and that of its mesh, in cubic world units."""
+    """Return the volume of an octree with fractions, and that of its mesh if it is one solid, in
+    cubic world units."""
     from voxtool.svo.attribution.fraction import MESH_VOLUME
     from voxtool.svo.stored_volume import stored_volume
 
-    if MESH_VOLUME not in octree.plan:
+    if octree.mode != f"solid+{FRACTION}":
         return {}
-    voxels = {"volume": stored_volume(octree), "mesh_volume": octree.plan[MESH_VOLUME]}
+    voxels = {"volume": stored_volume(octree)}
+    if MESH_VOLUME in octree.plan:
+        voxels["mesh_volume"] = octree.plan[MESH_VOLUME]
     return {name: number * octree.grid.voxel_volume for name, number in voxels.items()}
 
 
@@ -307,8 +318,8 @@ def report_line(octree: Octree | BlockOctree | MergedOctree) -> str:
         size = f"{human(octree.merged_bytes)}, merged from {size}"
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     volumes = volumes_of(octree)
-    volume = "; volume {volume:.12g}, of the mesh {mesh_volume:.12g}" if volumes else ""
-    volume = volume.format_map(volumes)
+    named = {"volume": "; volume", "mesh_volume": ", of the mesh"}
+    volume = "".join(f"{named[name]} {number:.12g}" for name, number in volumes.items())
     return (
         f"{octree.mode}{filled}, dim {octree.grid.dim}, pitch {pitch_of(octree.grid)}; "
         f"{octree.count:,} voxels in {size}{volume}"

@@ -280,11 +280,12 @@ class Octree(PointQueries, OctreeContent, Data):
         if "label" in info["attributes"]:
             from voxtool.svo.label_counts import label_counts  # which imports this module
 
-            names, counts = self.attribute("label").names, label_counts(self).tolist()
+            counts, volumes = (numbers.tolist() for numbers in label_counts(self))
+            rows = zip(self.attribute("label").names, counts, volumes, strict=True)
             info["attributes"]["label"]["labels"] = [
                 {"label": label, "name": name, "voxels": count,
-                 "volume": count * self.grid.voxel_volume}
-                for label, (name, count) in enumerate(zip(names, counts, strict=True))
+                 "volume": volume * self.grid.voxel_volume}
+                for label, (name, count, volume) in enumerate(rows)
             ]  # fmt: skip
         return info
 

@@ -66,8 +66,7 @@ def plan_fractions(
     max_memory: int | None = None,
 ) -> FractionJob:
     """Return the planned job of an octree with fractions; see `voxtool.voxelize`."""
-    if kind not in TYPES:
-        raise VoxtoolError(f"fraction type {kind!r} is unknown: choose one of {', '.join(TYPES)}")
+    check_type(kind)
     options: dict[str, Any] = {"window": window, "device": device, "max_memory": max_memory}
     solid = plan_voxelize(mesh, grid, "solid", fill=fill, **options)
     if solid.plan.fill == "flood":
@@ -79,6 +78,12 @@ def plan_fractions(
     solid.device.require_float64("fractions")
     caps = (solid.plan.holes, solid.plan.caps)
     return FractionJob(solid.capped(), FractionPlan(solid.plan, kind, caps, faces))
+
+
+def check_type(kind: str) -> None:
+    """Raise VoxtoolError if there is no such type of fractions."""
+    if kind not in TYPES:
+        raise VoxtoolError(f"fraction type {kind!r} is unknown: choose one of {', '.join(TYPES)}")
 
 
 def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
@@ -123,6 +128,11 @@ class FractionPlan:
         if not self.faces:
             left["faces of voxels"] = "no shares of theirs are asked for"
         return left
+
+    @property
+    def bricks(self) -> int:
+        """Predicted number of bricks."""
+        return self.solid.bricks
 
     @property
     def touched(self) -> int:
@@ -238,6 +248,10 @@ class FractionJob(Job[Octree]):
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield warnings: the surface does not bound what the fill rule says, or nothing is set."""
         yield from self.solid.findings(result)
+        yield from self.wrong()
+
+    def wrong(self) -> Iterator[str]:
+        """Yield a warning if the surface does not bound what the fill rule says."""
         if self.disagreements:
             places = count_of(self.disagreements, "place")
             yield (

@@ -165,13 +165,17 @@ def plan_labels(
         jobs.append(plan_voxelize(whole, atlas.grid, mode, **rule, **options))
     jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, **request, **options)
              for part in alone]  # fmt: skip
-    n = len(parts.names)
-    dtype = "u1" if n <= 1 << 8 else "u2" if n <= 1 << 16 else "u4"
+    dtype = dtype_of_labels(len(parts.names))
     plan = PartLabelsPlan(
         mode + "+surface26" * with_surface, parts.names, int(together.sum()),
         tuple(alone.items()), dtype, atlas.side if atlas else 0, tuple(job.plan for job in jobs),
     )  # fmt: skip
     return PartLabelsJob(mesh, grid, own, ranks, atlas, jobs, plan, device, max_memory)
+
+
+def dtype_of_labels(n: int) -> str:
+    """Return the smallest type of n labels."""
+    return "u1" if n <= 1 << 8 else "u2" if n <= 1 << 16 else "u4"
 
 
 def _voxels(own: PartMesh, fixed: np.ndarray, gap: int) -> tuple[np.ndarray, np.ndarray]:
