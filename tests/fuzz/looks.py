@@ -19,7 +19,7 @@ from voxtool.mesh.appearance import Appearance
 MAKE_PARTS = Path(__file__).parents[2] / "examples" / "make_parts.py"
 FOLDER = "look.obj"  # an OBJ with its library and pictures, as an archive
 MESHES = ("look.glb", "look.gltf", FOLDER, "look.3mf", "look.ply", "look.text.ply")
-OCTREES = ("look.svo.h5",)
+OCTREES = ("look.svo.h5", "shares.svo.h5")
 FORMATS = (*MESHES, *OCTREES)
 
 
@@ -38,10 +38,11 @@ def write_looks(folder: Path, ball: Any, device: Any, archive_of: Any) -> None:
     voxtool.write_mesh(replace(ball, appearance=look), folder / "a.look.ply")
     write_text_ply(folder / "a.look.text.ply", ball, shares)
     mesh = voxtool.load_mesh(folder / "a.look.glb", keep=("parts", "appearance"))
-    more: dict[str, Any] = {"attributes": ("colour", "normal"), "labels": "part"}
+    more: dict[str, Any] = {"attributes": ("colour", "normal", "area"), "labels": "part"}
     octree = voxtool.voxelize(mesh, None, "solid", dim=16, device=device, **more)
-    for kind in OCTREES:
-        voxtool.write_svo(octree, folder / f"a.{kind}")
+    voxtool.write_svo(octree, folder / "a.look.svo.h5")
+    shares = voxtool.voxelize(mesh, None, "fraction", dim=16, device=device, face_fractions=True)
+    voxtool.write_svo(shares, folder / "a.shares.svo.h5")
 
 
 def lighthouse() -> Any:

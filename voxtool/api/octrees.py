@@ -269,8 +269,8 @@ def plan_extract(
     Returns
     -------
     Isosurface, or FieldSurface of a field, or LabelledSurface by label
-        plan_extract returns the job, ExtractJob, FieldSurfaceJob or LabelledJob, whose `run`
-        returns it.
+        with the colours of an octree's voxels, if it has any. plan_extract returns the job,
+        ExtractJob, FieldSurfaceJob or LabelledJob, whose `run` returns it.
 
     Raises
     ------
