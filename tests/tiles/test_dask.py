@@ -40,6 +40,8 @@ CASES = {
     "surface": ("bunny.obj", {"mode": "surface26"}),
     "parity": ("bunny.obj", {"with_surface": True}),
     "winding": ("open.obj", {}),
+    "flood": ("bunny.obj", {"fill": "flood"}),
+    "flood of gaps": ("open.obj", {"fill": "flood", "gap": 2}),
 }
 
 
@@ -123,6 +125,20 @@ def test_the_command_line(here: Path) -> None:
         assert parts[name] == whole[name]
 
 
+@pytest.mark.parametrize("more", ["--mode surface26", "--fill parity", "--fill flood"])
+def test_workers_merge_their_windows(more: str, here: Path) -> None:
+    command = f"voxelize bunny.obj --dim 200 --dag {more} --json"
+    whole, parts = (
+        told(f"{command} -o whole.svo.h5"),
+        told(f"{command} -o parts.svo.h5 --dask local --workers 2"),
+    )
+    for name in ("digest", "voxels", "nodes", "bricks", "bytes", "grid", "fill", "version"):
+        assert parts.get(name) == whole.get(name), name
+    assert not Path("parts.svo.h5.windows").exists()
+    plan = run(f"voxelize bunny.obj --dag {more} --dask local --workers 2 --plan").stdout
+    assert "merge subtrees" in plan
+
+
 def test_many_meshes(here: Path) -> None:
     models = "bunny.obj open.obj"
     told(f"voxelize {models} --dim 32 -o here/ --json")
@@ -139,7 +155,8 @@ def test_many_meshes(here: Path) -> None:
         ("--dask tcp://127.0.0.1:9", 4, "no scheduler of Dask at tcp://127.0.0.1:9"),
         ("--dask nowhere", 4, "no scheduler of Dask at nowhere"),
         ("open.obj --dask nowhere -o out/", 4, "no scheduler of Dask at nowhere"),
-        ("--dask local --workers 1 --fill flood", 3, "a flood is not divided among workers"),
+        ("--dask local --workers 1 --dag -o x.npy", 2, "--dask writes .svo.h5"),
+        ("--dask local --workers 1 --dag -o -", 2, "windows wait beside the output"),
     ],
 )
 def test_refusals(command: str, code: int, message: str, here: Path, monkeypatch) -> None:

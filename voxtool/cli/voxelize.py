@@ -167,8 +167,8 @@ def command(
     run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
     if dask and run.file_format != "svo.h5":
         raise click.UsageError("--dask writes .svo.h5: name one with -o, and use voxtool export")
-    if dag and (dask or run.file_format not in MERGED_FORMATS):
-        raise click.UsageError("--dag writes .svo.h5, from one process: drop --dask")
+    if dag and run.file_format not in MERGED_FORMATS:
+        raise click.UsageError("--dag writes .svo.h5: name one with -o")
     if thin and (dask or resume):
         raise click.UsageError("--thin takes a surface in one piece: drop --dask and --resume")
     if labels and "xml" in str(run.file_format):
@@ -199,10 +199,10 @@ def command(
         parts = None
         if dask:
             from voxtool.tiles.cluster import connected
-            from voxtool.tiles.spread import SpreadJob
+            from voxtool.tiles.spread import spread
 
             client = stack.enter_context(connected(dask, workers))
-            parts = run.stage("plan windows", SpreadJob, job, client, run.device_name)
+            parts = run.stage("plan windows", spread, job, client, run.device_name, merged=dag)
         elif (
             windows != "never"
             and not (thin or labels or attributes or mode == FRACTION)
@@ -210,7 +210,7 @@ def command(
             and not fits(job, dag)
         ):
             parts = run.stage("plan windows", windows_of, job, dag)
-        if parts and dag and run.to_stdout:
+        if parts and dag and run.to_stdout and not dask:
             octree = run.job(parts, **placed)
             run.write(write_svo, octree)
         elif parts:

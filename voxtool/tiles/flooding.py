@@ -14,6 +14,7 @@ import numpy as np
 
 from voxtool.files.windows import Key
 from voxtool.job import Cost
+from voxtool.svo.fill.flood import window_frame
 from voxtool.svo.fill.outside import Outside
 from voxtool.svo.fill.pieces import Shared, cubes_of
 from voxtool.svo.flood_window import FloodWindowJob
@@ -24,6 +25,7 @@ from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.merging import MergingJob
 from voxtool.tiles.windows import Content, Part, WindowsJob, WindowsPlan, shape_of
 
+OUTSIDE = "outside of window"  # as progress says it
 ROOT = np.zeros(1, np.uint32)  # of a cube that is one piece
 RECORD = 3 * 16  # bytes of a piece that windows share, while they are united
 PIECES_OF_SEED = 29  # eight bricks, and leaves beside and above them
@@ -75,14 +77,11 @@ class Flooding(WindowsJob):
             beside = ((low[i + 1 :] <= high[i]) & (low[i] <= high[i + 1 :])).all(axis=1)
             for other in np.flatnonzero(beside).tolist():
                 found.link(i, ROOT, i + 1 + other)
-        for key, faces in self._every(self.plan.root, self.all_faces):
-            self._report("outside of window")
-            with self.device.reporting(lambda _: None):  # not the stages within
-                job = self._job(key, faces)
-                shared = job.shared()
+        origin = window_frame(self.grid.shape, self.root, self.whole.plan.gap).corner
+        for key, shared in self._shares():
             numbers[key] = number = found.add(shared)
             first, side = cubes_of(shared.keys)
-            first -= job.frame.corner
+            first -= origin
             end = first + side[:, None]
             corner, reach = np.array(key[:3]), 2 * self.least
             beside = ((low <= corner + key[3] + reach) & (corner - reach <= high)).all(axis=1)
@@ -93,6 +92,14 @@ class Flooding(WindowsJob):
         self._outside = {key: roots[number] for key, number in numbers.items()}
         states = (EMPTY if len(part) else FULL for part in roots)
         self._states = dict(zip(map(tuple, boxes.tolist()), states, strict=False))
+
+    def _shares(self) -> Iterator[tuple[Key, Shared]]:
+        """Yield all windows, with the pieces of free space that they share with others."""
+        for key, faces in self._every(self.plan.root, self.all_faces):
+            self._report(OUTSIDE)
+            with self.device.reporting(lambda _: None):  # not the stages within
+                shared = self._job(key, faces).shared()
+            yield key, shared
 
     def _cubes(self, part: Part, found: Outside) -> np.ndarray:
         """Add the cubes that no face reaches as one piece each; return their corners and sides."""
@@ -115,14 +122,19 @@ class Flooding(WindowsJob):
             yield from self._every(half, faces)
 
     def _content(self, key: Key, faces: np.ndarray) -> Content:
-        levels, bricks = self._job(key, faces).fill(self._outside[key])
-        voxels = int(np.bitwise_count(bricks).sum(dtype=np.int64))
-        for number, states in enumerate(levels[::-1], 1):
-            voxels += int(np.count_nonzero(states == FULL)) * (BRICK_SIDE << number) ** 3
-        return levels, bricks, voxels
+        return filled(self._job(key, faces), self._outside[key])
 
     def _leaf(self, key: Key) -> int:
         return self._states.get(key, EMPTY)
+
+
+def filled(job: FloodWindowJob, outside: np.ndarray) -> Content:
+    """Return the content of a window, given the roots of its pieces that are outside."""
+    levels, bricks = job.fill(outside)
+    voxels = int(np.bitwise_count(bricks).sum(dtype=np.int64))
+    for number, states in enumerate(levels[::-1], 1):
+        voxels += int(np.count_nonzero(states == FULL)) * (BRICK_SIDE << number) ** 3
+    return levels, bricks, voxels
 
 
 class FloodWindowsJob(Flooding):

@@ -25,7 +25,7 @@ from voxtool.tiles.flooding import plan_windows
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.operations import OperationJob
-from voxtool.tiles.spread import SpreadJob
+from voxtool.tiles.spread import spread
 from voxtool.tiles.windows import WindowsJob
 
 if TYPE_CHECKING:
@@ -75,8 +75,6 @@ def voxelize(
         As `voxtool.voxelize`; DeviceError also if the cluster is lost.
     MemoryLimitError
         If a window of the least size does not fit.
-    VoxtoolError
-        If the fill rule is a flood, and a client is given: workers do not flood.
     FileError
         If the windows or the file cannot be written.
 
@@ -91,7 +89,7 @@ def voxelize(
     grid = grid or Grid.fit(found, dim, pitch=pitch)
     request = {"fill": fill, "gap": gap, "with_surface": with_surface}
     whole = plan_voxelize(found, grid, mode, device=device, max_memory=max_memory, **request)
-    job = SpreadJob(whole, client) if client else plan_windows(whole)
+    job = spread(whole, client) if client else plan_windows(whole)
     if file is not None:
         return _written(job, file, resume)
     with tempfile.TemporaryDirectory(prefix="voxtool-") as folder:

@@ -27,10 +27,10 @@ NO_LEAVES = np.empty(0, BRICK)
 
 def merging_fits(job: VoxelizeJob) -> bool:
     """Return whether an octree can be made, and then merged, in the memory of its job."""
-    return job.fits and not _shortage(job)
+    return job.fits and not merging_shortage(job)
 
 
-def _shortage(job: VoxelizeJob) -> str:
+def merging_shortage(job: VoxelizeJob) -> str:
     """Return the memory that a job and then merging lack, as messages say it."""
     needed = _merging_bytes(job.plan)
     if job.shortage or needed <= job.limit:
@@ -86,7 +86,7 @@ class MergingJob(WindowsJob):
         return MergingPlan(self.whole.plan, self._divide(self.root, self.all_faces))
 
     def _shortage(self, job: VoxelizeJob) -> str:
-        return _shortage(job)
+        return merging_shortage(job)
 
     def _run(self) -> MergedOctree:  # pyright: ignore[reportIncompatibleMethodOverride]
         self._prepare()
@@ -116,14 +116,24 @@ class MergingJob(WindowsJob):
         """Return a merged window."""
         self._report()
         if self.store is not None and key in self.store:
-            tables, _ = self.store.get(key)
-            rows = [table.view(np.uint32).reshape(-1, CHILDREN) for table in tables]
-            leaves = np.concatenate([NO_LEAVES, *self.store.bricks(key)])
-            return Subtrees(rows, leaves, self.store.voxels(key))
+            return _read(self.store, key)
         with self.device.reporting(lambda _: None):  # not the stages within
             levels, bricks, _ = self._content(key, faces)
         merged = merge(levels[::-1], bricks)
         if self.store is not None:
-            tables = [rows.view(np.uint8).ravel() for rows in merged.rows]
-            self.store.put(key, Window.of(tables, merged.leaves, merged.root))
+            self.store.put(key, window_of(merged))
         return merged
+
+
+def window_of(merged: Subtrees) -> Window:
+    """Return the distinct subtrees of a window as what waits on disk."""
+    tables = [rows.view(np.uint8).ravel() for rows in merged.rows]
+    return Window.of(tables, merged.leaves, merged.root)
+
+
+def _read(store: Windows, key: Key) -> Subtrees:
+    """Return the distinct subtrees of a window that waits on disk."""
+    tables, _ = store.get(key)
+    rows = [table.view(np.uint32).reshape(-1, CHILDREN) for table in tables]
+    leaves = np.concatenate([NO_LEAVES, *store.bricks(key)])
+    return Subtrees(rows, leaves, store.voxels(key))

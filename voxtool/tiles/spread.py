@@ -1,29 +1,36 @@
 """Voxelization in windows by the workers of a Dask cluster: the same octree as by one process.
 
 The grid is halved until each worker has several windows. A worker plans its window, and one that
-does not fit comes back, to be halved again.
+does not fit comes back, to be halved again. With `--dag` workers merge the windows that they make.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.errors import VoxtoolError, count_of, human
-from voxtool.files.windows import Key, Window
+from voxtool.errors import count_of, human
+from voxtool.files.windows import Key, Window, Windows
 from voxtool.grid import Grid
 from voxtool.job import Cost
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import shared_device
+from voxtool.svo.fill.pieces import Shared
+from voxtool.svo.flood_window import FloodWindowJob
 from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
+from voxtool.svo.merge import Subtrees, merge
+from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 from voxtool.tiles.cluster import results, threads_of
+from voxtool.tiles.flooding import OUTSIDE, FloodWindowsJob, filled
+from voxtool.tiles.merging import MergingJob, merging_shortage, window_of
 from voxtool.tiles.subtree import Subtree
 from voxtool.tiles.windows import (
-    LEAST,
+    Content,
     Part,
     WindowsJob,
     WindowsPlan,
@@ -45,11 +52,12 @@ class SpreadPlan(WindowsPlan):
     """The windows of a voxelization that workers make and plan."""
 
     workers: int = 1
+    merged: bool = False
 
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
-        return self.whole.stages
+        return [*self.whole.stages, *["merge subtrees"] * self.merged]
 
     @property
     def cost(self) -> Cost:
@@ -58,8 +66,9 @@ class SpreadPlan(WindowsPlan):
 
     @property
     def disk(self) -> int:
-        """Predicted bytes of the file, and at most of the windows that wait for it."""
-        return NODE_BYTES * self.whole.nodes + BRICK_BYTES * self.whole.bricks
+        """Predicted bytes of the file, and at most of the windows that wait for it; 0 of merged
+        subtrees, whose number is not known."""
+        return (NODE_BYTES * self.whole.nodes + BRICK_BYTES * self.whole.bricks) * (not self.merged)
 
     def as_dict(self) -> dict[str, Any]:
         """All of the plan in JSON types."""
@@ -68,11 +77,20 @@ class SpreadPlan(WindowsPlan):
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts, which `--plan` prints before the stages."""
         count = count_of(self.count, "window")
-        return [
+        rows = [
             *(row for row in self.whole.rows() if row[0] not in ("octree", "work")),
             ("windows", f"{count}, made by {count_of(self.workers, 'worker')} of Dask"),
-            ("disk", f"about {human(self.disk)}, of the file and of windows that wait for it"),
         ]
+        if self.merged:
+            return rows
+        where = f"about {human(self.disk)}, of the file and of windows that wait for it"
+        return [*rows, ("disk", where)]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Merged subtrees have links of 32 bits, whose number is not known; workers plan for
+        themselves."""
+        if not self.merged:
+            super().refuse_beyond(max_memory, max_allocation)
 
 
 class SpreadJob(WindowsJob):
@@ -85,32 +103,37 @@ class SpreadJob(WindowsJob):
     device_name : the device of a worker, as --device takes it.
     """
 
+    merged = False
+
     def __init__(self, whole: VoxelizeJob, client: Client, device_name: str | None = None) -> None:
-        if whole.plan.fill == "flood":
-            raise VoxtoolError("a flood is not divided among workers: choose another fill rule")
         self.client, self.device_name = client, device_name
         self._divided: dict[Key, Part] = {}
         super().__init__(whole)
 
     def _plan(self) -> SpreadPlan:
-        workers = threads_of(self.client)
-        parts = self._touched(self.root, self.all_faces)
-        side = self.grid.side
-        while 0 < len(parts) < SHARE * workers and side > LEAST:
-            side //= 2
-            parts = [
-                found for key, faces in parts for half in halves_of(key)
-                for found in self._touched(half, faces)
-            ]  # fmt: skip
-        self._windows = parts
-        windows = {key for key, _ in parts}
+        side, self._windows = self._halved()
+        windows = {key for key, _ in self._windows}
 
         def part_of(key: Key) -> Part:
             if key[3] == side:
                 return Part(key, window=key in windows)
             return Part(key, parts=tuple(map(part_of, halves_of(key))))
 
-        return SpreadPlan(self.whole.plan, part_of(self.root), workers)
+        return self._planned(part_of(self.root))
+
+    def _planned(self, root: Part) -> SpreadPlan:
+        return SpreadPlan(self.whole.plan, root, threads_of(self.client), self.merged)
+
+    def _halved(self) -> tuple[int, list[Wanted]]:
+        """Return the windows of one side that are enough for the workers, and the side."""
+        parts, side = self._touched(self.root, self.all_faces), self.grid.side
+        while 0 < len(parts) < SHARE * threads_of(self.client) and side > self.least:
+            side //= 2
+            parts = [
+                found for key, faces in parts for half in halves_of(key)
+                for found in self._touched(half, faces)
+            ]  # fmt: skip
+        return side, parts
 
     def _touched(self, key: Key, faces: np.ndarray) -> list[Wanted]:
         """Return a cube and its faces as a list, which is empty if no face can change it."""
@@ -126,17 +149,11 @@ class SpreadJob(WindowsJob):
 
     def _make(self, missing: Iterable[Wanted]) -> None:
         """Have windows made; they wait on disk."""
-        whole: Any = None
+        send = self._sender()
 
         def submit(wanted: Wanted) -> Any:
-            nonlocal whole
             key, faces = wanted
-            mesh = whole
-            if self._ranges is not None:
-                mesh = self._mesh_of(faces)
-            elif whole is None or whole.cancelled():  # it is lost with a scheduler
-                mesh = whole = self.client.scatter(self.mesh)
-            given = (mesh, self.grid, key, self._options, self.device_name)
+            given = (send(faces), self.grid, key, self._options, self.device_name, self.merged)
             return self.client.submit(make_window, *given, pure=False)
 
         while True:
@@ -155,15 +172,104 @@ class SpreadJob(WindowsJob):
                 return
             missing = smaller
 
+    def _sender(self) -> Callable[[np.ndarray], Any]:
+        """Return a function that returns the mesh of some faces, or what stands for it in a call:
+        the whole mesh is sent once."""
+        whole: Any = None
+
+        def send(faces: np.ndarray) -> Any:
+            nonlocal whole
+            if self._ranges is not None:
+                return self._mesh_of(faces)
+            if whole is None or whole.cancelled():  # it is lost with a scheduler
+                whole = self.client.scatter(self.mesh)
+            return whole
+
+        return send
+
     def _made(self, part: Part) -> Subtree:
         return super()._made(self._divided.get(part.key, part))
 
 
+class SpreadMergingJob(SpreadJob, MergingJob):
+    """A voxelization whose windows the workers of a Dask cluster make and merge."""
+
+    merged = True
+    store: Windows
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self._make(self._missing(self.plan.root, self.all_faces))
+
+    def _merged(self, part: Part, faces: np.ndarray) -> Subtrees:
+        return super()._merged(self._divided.get(part.key, part), faces)
+
+
+class SpreadFloodJob(SpreadJob, FloodWindowsJob):
+    """A flood whose windows the workers of a Dask cluster make. This process plans the windows, and
+    decides which pieces of free space are outside."""
+
+    def _plan(self) -> SpreadPlan:
+        self._side, _ = self._halved()
+        root = self._divide(self.root, self.all_faces)
+        self._windows = list(self._every(root, self.all_faces))
+        return self._planned(root)
+
+    def _divide(self, key: Key, faces: np.ndarray) -> Part:
+        faces = self._faces_of(key, faces)
+        if key[3] <= self._side or not len(faces):
+            return super()._divide(key, faces)
+        return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
+
+    def _shares(self) -> Iterator[tuple[Key, Shared]]:
+        found = {}
+        for (key, _), shared in results(self.client, self._submitter(), self._windows):
+            self._report(OUTSIDE)
+            found[key] = shared
+        for key, _ in self._windows:
+            yield key, found.pop(key)
+
+    def _make(self, missing: Iterable[Wanted]) -> None:
+        for (key, _), made in results(self.client, self._submitter(self._outside), missing):
+            self._report()
+            self.store.put(key, made)
+
+    def _submitter(self, outside: Mapping[Key, np.ndarray] = MappingProxyType({})) -> Any:
+        """Return a function that submits a window: for what it shares, or to be filled."""
+        send = self._sender()
+
+        def submit(wanted: Wanted) -> Any:
+            key, faces = wanted
+            given = (send(faces), self.grid, self.whole.plan, key, self.max_memory)
+            of = (self.device_name, outside.get(key), self.merged)
+            return self.client.submit(flood_window, *given, *of, pure=False)
+
+        return submit
+
+
+class SpreadFloodMergingJob(SpreadFloodJob, SpreadMergingJob):
+    """A flood whose windows the workers of a Dask cluster make and merge."""
+
+
+def spread(
+    whole: VoxelizeJob, client: Client, device_name: str | None = None, *, merged: bool = False
+) -> SpreadJob:
+    """Return the job of a voxelization by the workers of a cluster, with `merged` one that merges
+    subtrees."""
+    flood = whole.plan.fill == "flood"
+    kind = (
+        (SpreadFloodMergingJob if flood else SpreadMergingJob)
+        if merged
+        else (SpreadFloodJob if flood else SpreadJob)
+    )
+    return kind(whole, client, device_name)
+
+
 def make_window(
-    mesh: Mesh, grid: Grid, key: Key, options: dict[str, Any], device_name: str | None
+    mesh: Mesh, grid: Grid, key: Key, options: dict[str, Any], device_name: str | None, merged: bool
 ) -> Window | None:
-    """Return a window, made in a worker; None if it does not fit in the memory that the worker may
-    take."""
+    """Return a window, made in a worker and with `merged` merged there; None if it does not fit in
+    the memory that the worker may take."""
     from distributed import get_worker
 
     if options["max_memory"] is None:
@@ -171,7 +277,29 @@ def make_window(
         options = {**options, "max_memory": limit and limit // 2}  # half is for results
     window = key[:3], shape_of(key, grid)
     job = plan_voxelize(mesh, grid, window=window, device=shared_device(device_name), **options)
-    if job.fits:
-        return Window.of(*content_of(job, key[3]))
-    refuse_smallest(key, job.shortage)
+    shortage = merging_shortage(job) if merged else job.shortage
+    if not shortage:
+        return _window(content_of(job, key[3]), merged)
+    refuse_smallest(key, shortage)
     return None
+
+
+def flood_window(
+    mesh: Mesh,
+    grid: Grid,
+    whole: VoxelizePlan,
+    key: Key,
+    max_memory: int | None,
+    device_name: str | None,
+    outside: np.ndarray | None,
+    merged: bool,
+) -> Shared | Window:
+    """Return the pieces of free space that a window shares with others or, given the roots of its
+    pieces that are outside, the window."""
+    job = FloodWindowJob(mesh, grid, whole, key, shared_device(device_name), max_memory)
+    return job.shared() if outside is None else _window(filled(job, outside), merged)
+
+
+def _window(content: Content, merged: bool) -> Window:
+    levels, bricks, _ = content
+    return window_of(merge(levels[::-1], bricks)) if merged else Window.of(*content)
