@@ -1,4 +1,5 @@
-"""What voxels are made of: labels, colours, normals and fractions of the set voxels of an octree.
+"""What voxels are made of: labels, colours, normals, fractions and the like of the set voxels of an
+octree.
 
 An attribute has a value for each set voxel of the bricks, brick by brick, in the order of the bits,
 and one for each inside leaf above them, in the order of the nodes. With masks, only the voxels of
