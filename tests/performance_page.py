@@ -238,6 +238,7 @@ def scale(points: list[Point]) -> Rows:
 
 SCRIPTS = {  # which print a table
     "large": "python -m tests.large_work armadillo.obj bunny.obj nefertiti.obj",
+    "workers": "python -m tests.cluster_gain armadillo.obj",
     "small": f"python {ROOT / 'examples/call_costs.py'} bunny.obj",
     "frames": "python -m tests.frame_rates bunny.obj bluntfin.vtu",
 }

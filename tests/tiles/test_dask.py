@@ -87,6 +87,21 @@ def test_windows_that_do_not_fit_are_halved(spread, surface: Octree, monkeypatch
     assert in_memory(made) == surface
 
 
+@pytest.mark.parametrize("seen", [True, False], ids=["seen", "elsewhere"])
+def test_workers_write_windows_where_they_see_the_folder(
+    seen: bool, spread, surface: Octree, monkeypatch
+) -> None:
+    """A folder of the same name that is another one costs a second call."""
+    job, sent = spread(), []
+    put, note = job.store.put, job.store.take_note
+    monkeypatch.setattr(job.store, "put", lambda *given: (sent.append(given[0]), put(*given)))
+    if not seen:
+        monkeypatch.setattr(job.store, "take_note", lambda line: note({**line, "bricks": 1 << 40}))
+    assert in_memory(job.run()) == surface
+    assert bool(sent) != seen
+    assert len(job.store) == job._done
+
+
 def test_a_killed_worker_costs_nothing(client, spread, surface, monkeypatch) -> None:
     job, killed = spread(), []
 

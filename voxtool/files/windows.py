@@ -2,8 +2,9 @@
 
 `NAME.windows` holds `windows.jsonl`: a line that says of which request, then one for each finished
 window; and the files of each, the states of its nodes and blocks of its bricks as they are in
-memory. A killed run leaves the folder, and the next one takes what is whole: a window counts if its
-files have the SHA-256 that its line says.
+memory. Processes of a cluster that see the folder write their windows into it. A killed run leaves
+the folder, and the next one takes what is whole: a window counts if its files have the SHA-256 that
+its line says.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from voxtool.files.atomic import write_error
 from voxtool.svo.layout import BRICK
 
 BLOCK = 1 << 22  # bricks in a file
+JOURNAL = "windows.jsonl"
 VERSION = 1
 Key = tuple[int, int, int, int]  # the window's low corner and its side, in voxels
 
@@ -77,9 +79,10 @@ class Windows:
         keep: bool = True,
     ) -> None:
         self.folder = Path(f"{target}.windows")
-        self._journal = self.folder / "windows.jsonl"
+        self._journal = self.folder / JOURNAL
         self._lines: dict[Key, dict[str, Any]] = {}
         head = {"voxtool": "windows", "version": VERSION, "request": request}
+        self.place = str(self.folder.absolute()), json.dumps(head)
         try:
             if resume and self._journal.exists():
                 self._read(head)
@@ -89,7 +92,7 @@ class Windows:
             if not self._lines:
                 self.remove()
                 self.folder.mkdir()
-                self._write(json.dumps(head))
+                self._write(self.place[1])
         except OSError as error:
             raise write_error(self.folder, error) from error
         if not keep:
@@ -138,23 +141,32 @@ class Windows:
 
     def put(self, key: Key, window: Window) -> None:
         """Store a window."""
-        files = [window.levels, *([part] for part in _split(window.bricks))]
         try:
-            for path, arrays in zip(self._paths(key, len(files)), files, strict=True):
-                with open(path, "wb") as file:
-                    for array in arrays:
-                        file.write(array.data)
-            sizes = {"levels": [len(states) for states in window.levels]}
-            counts = {"bricks": len(window.bricks), "voxels": window.voxels, "files": len(files)}
-            self._lines[key] = {"window": key, **sizes, **counts, "sha256": window.sha256}
-            self._write(json.dumps(self._lines[key]))
+            self._note(_written(self.folder, key, window))
         except OSError as error:
             raise write_error(self.folder, error) from error
+
+    def take_note(self, line: dict[str, Any]) -> bool:
+        """Count a window that another process wrote into the folder (`write_beside`); return
+        whether its files are there."""
+        size = sum(line["levels"]) + BRICK.itemsize * line["bricks"]
+        try:
+            paths = _paths(self.folder, line["window"], line["files"])
+            if sum(path.stat().st_size for path in paths) != size:
+                return False
+        except OSError:
+            return False
+        self._note(line)
+        return True
+
+    def _note(self, line: dict[str, Any]) -> None:
+        self._lines[line["window"]] = line
+        self._write(json.dumps(line))
 
     def get(self, key: Key) -> tuple[tuple[np.ndarray, ...], int]:
         """Return the states of the levels of a window, and the number of its bricks."""
         line = self._lines[key]
-        with open(self._paths(key, 1)[0], "rb") as file:
+        with open(_paths(self.folder, key, 1)[0], "rb") as file:
             levels = tuple(np.frombuffer(file.read(size), np.uint8) for size in line["levels"])
         return levels, line["bricks"]
 
@@ -164,13 +176,13 @@ class Windows:
 
     def bricks(self, key: Key) -> Iterator[np.ndarray]:
         """Yield the bricks of a window in blocks."""
-        for path in self._paths(key, self._lines[key]["files"])[1:]:
+        for path in _paths(self.folder, key, self._lines[key]["files"])[1:]:
             yield np.fromfile(path, BRICK)
 
     def take(self, key: Key) -> Iterator[np.ndarray]:
         """Yield the same; each block is then removed from the disk."""
         for path, block in zip(
-            self._paths(key, self._lines[key]["files"])[1:], self.bricks(key), strict=True
+            _paths(self.folder, key, self._lines[key]["files"])[1:], self.bricks(key), strict=True
         ):
             yield block
             path.unlink()
@@ -182,11 +194,6 @@ class Windows:
         shutil.rmtree(self.folder, ignore_errors=True)
         watch.written(self.folder)
 
-    def _paths(self, key: Key, count: int) -> list[Path]:
-        """Return the files of a window: the states, then blocks of bricks."""
-        name = "-".join(map(str, key))
-        return [self.folder / f"{name}.{number}" for number in range(count)]
-
     def _write(self, line: str) -> None:
         """Add a line to the journal."""
         with open(self._journal, "a", encoding="utf-8") as file:
@@ -197,9 +204,45 @@ class Windows:
     def _digest(self, key: Key, count: int) -> str:
         """Return the SHA-256 of the files of a window."""
         sha = hashlib.sha256()
-        for path in self._paths(key, count):
+        for path in _paths(self.folder, key, count):
             sha.update(path.read_bytes())
         return sha.hexdigest()
+
+
+def write_beside(place: tuple[str, str], key: Key, window: Window) -> dict[str, Any] | None:
+    """Write a window into the folder of another process, if that is seen here; return what its
+    journal says of it, None if the folder is not here.
+
+    Parameters
+    ----------
+    place : Windows.place of that process.
+    """
+    folder, head = Path(place[0]), place[1]
+    try:
+        with open(folder / JOURNAL, encoding="utf-8") as journal:
+            if journal.readline() != f"{head}\n":
+                return None
+        return _written(folder, key, window)
+    except OSError:
+        return None
+
+
+def _written(folder: Path, key: Key, window: Window) -> dict[str, Any]:
+    """Write the files of a window; return what the journal says of it."""
+    files = [window.levels, *([part] for part in _split(window.bricks))]
+    for path, arrays in zip(_paths(folder, key, len(files)), files, strict=True):
+        with open(path, "wb") as file:
+            for array in arrays:
+                file.write(array.data)
+    sizes = {"levels": [array.nbytes for array in window.levels]}
+    counts = {"bricks": len(window.bricks), "voxels": window.voxels, "files": len(files)}
+    return {"window": key, **sizes, **counts, "sha256": window.sha256}
+
+
+def _paths(folder: Path, key: Key, count: int) -> list[Path]:
+    """Return the files of a window: the states, then blocks of bricks."""
+    name = "-".join(map(str, key))
+    return [folder / f"{name}.{number}" for number in range(count)]
 
 
 def _split(bricks: np.ndarray) -> list[np.ndarray]:

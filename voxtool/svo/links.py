@@ -61,7 +61,7 @@ def nodes_of(levels: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
             parents = np.repeat(refined & LINK, 8)
             if own is None:
                 nodes = np.empty(len(parents), NODE)
-                nodes["child"] = VALID | _lowest(8 * ranks + np.arange(len(parents)))
+                nodes["child"] = _links(8 * ranks, len(parents), 1)
                 nodes["parent"] = VALID | parents
             else:
                 states = own[8 * ranks : 8 * ranks + len(parents)]
@@ -77,10 +77,15 @@ def _linked(parents: np.ndarray, states: np.ndarray, first_child: int) -> np.nda
     refined = np.flatnonzero(states == REFINED)
     nodes["parent"] = VALID | parents
     nodes["child"][states == FULL] = INSIDE
-    nodes["child"][refined] = VALID | _lowest(first_child + 8 * np.arange(len(refined)))
+    nodes["child"][refined] = _links(first_child, len(refined), 8)
     return nodes
 
 
-def _lowest(indices: np.ndarray) -> np.ndarray:
-    """Return the bits of (n,) int64 indices that links hold, (n,) uint32."""
-    return (indices & int(LINK)).astype("<u4")
+def _links(first: int, count: int, step: int) -> np.ndarray:
+    """Return the links to indices first, first + step, ...: their lowest bits, (n,) uint32."""
+    found = np.arange(count, dtype="<u4")  # numbers are modulo 2**32
+    found *= np.uint32(step)
+    found += np.uint32(first & 0xFFFFFFFF)
+    found &= LINK
+    found |= VALID
+    return found

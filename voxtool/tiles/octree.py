@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -68,11 +69,14 @@ class BlockOctree:
         return self._sha.hexdigest()
 
     def _digested(self, blocks: Iterator[np.ndarray], first: bool = False) -> Iterator[np.ndarray]:
-        """Yield blocks, which a file stores in the order of the digest."""
+        """Yield blocks, which a file stores in the order of the digest; each is hashed while it is
+        written."""
         if first:
             head = {**self.grid.exact, "mode": self.mode, "fill": self.fill}
             self._sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
             self._sha.update(self.offsets.data)
-        for block in blocks:
-            self._sha.update(block.data)
-            yield block
+        with ThreadPoolExecutor(1) as pool:
+            for block in blocks:
+                hashed = pool.submit(self._sha.update, block.data)
+                yield block
+                hashed.result()

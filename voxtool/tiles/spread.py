@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.errors import count_of, human
-from voxtool.files.windows import Key, Window, Windows
+from voxtool.files.windows import Key, Window, Windows, write_beside
 from voxtool.grid import Grid
 from voxtool.job import Cost
 from voxtool.mesh.mesh import Mesh
@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 Wanted = tuple[Key, np.ndarray]  # a window, and the faces that can change it
+Made = Window | dict[str, Any]  # a window, or what the journal says of it if it is on disk
+Place = tuple[str, str]  # where windows wait, and the first line of the journal there
 SHARE = 8  # windows of a worker, at least, so that all of them end at about the same time
 
 
@@ -110,6 +112,10 @@ class SpreadJob(WindowsJob):
         self._divided: dict[Key, Part] = {}
         super().__init__(whole)
 
+    def _prepare(self) -> None:
+        self._place: Place | None = self.store.place  # None if workers do not see it
+        super()._prepare()
+
     def _plan(self) -> SpreadPlan:
         side, self._windows = self._halved()
         windows = {key for key, _ in self._windows}
@@ -153,15 +159,14 @@ class SpreadJob(WindowsJob):
 
         def submit(wanted: Wanted) -> Any:
             key, faces = wanted
-            given = (send(faces), self.grid, key, self._options, self.device_name, self.merged)
-            return self.client.submit(make_window, *given, pure=False)
+            given = (send(faces), self.grid, key, self._options, self.device_name)
+            return self.client.submit(make_window, *given, self.merged, self._place, pure=False)
 
         while True:
             smaller: list[Wanted] = []
             for (key, faces), made in results(self.client, submit, missing):
                 if made:
-                    self._report()
-                    self.store.put(key, made)
+                    smaller += self._take(key, faces, made)
                     continue
                 found = [each for half in halves_of(key) for each in self._touched(half, faces)]
                 windows = {half for half, _ in found}
@@ -171,6 +176,17 @@ class SpreadJob(WindowsJob):
             if not smaller:
                 return
             missing = smaller
+
+    def _take(self, key: Key, faces: np.ndarray, made: Made) -> list[Wanted]:
+        """Store a window; return it if the worker wrote it into another folder of the same name, so
+        that it has to be sent."""
+        if isinstance(made, Window):
+            self.store.put(key, made)
+        elif not self.store.take_note(made):
+            self._place = None
+            return [(key, faces)]
+        self._report()
+        return []
 
     def _sender(self) -> Callable[[np.ndarray], Any]:
         """Return a function that returns the mesh of some faces, or what stands for it in a call:
@@ -230,9 +246,11 @@ class SpreadFloodJob(SpreadJob, FloodWindowsJob):
             yield key, found.pop(key)
 
     def _make(self, missing: Iterable[Wanted]) -> None:
-        for (key, _), made in results(self.client, self._submitter(self._outside), missing):
-            self._report()
-            self.store.put(key, made)
+        while missing:
+            again: list[Wanted] = []
+            for (key, faces), made in results(self.client, self._submitter(self._outside), missing):
+                again += self._take(key, faces, made)
+            missing = again
 
     def _submitter(self, outside: Mapping[Key, np.ndarray] = MappingProxyType({})) -> Any:
         """Return a function that submits a window: for what it shares, or to be filled."""
@@ -241,7 +259,7 @@ class SpreadFloodJob(SpreadJob, FloodWindowsJob):
         def submit(wanted: Wanted) -> Any:
             key, faces = wanted
             given = (send(faces), self.grid, self.whole.plan, key, self.max_memory)
-            of = (self.device_name, outside.get(key), self.merged)
+            of = (self.device_name, outside.get(key), self.merged, self._place)
             return self.client.submit(flood_window, *given, *of, pure=False)
 
         return submit
@@ -266,10 +284,16 @@ def spread(
 
 
 def make_window(
-    mesh: Mesh, grid: Grid, key: Key, options: dict[str, Any], device_name: str | None, merged: bool
-) -> Window | None:
-    """Return a window, made in a worker and with `merged` merged there; None if it does not fit in
-    the memory that the worker may take."""
+    mesh: Mesh,
+    grid: Grid,
+    key: Key,
+    options: dict[str, Any],
+    device_name: str | None,
+    merged: bool,
+    place: Place | None,
+) -> Made | None:
+    """Return a window, made in a worker and with `merged` merged there; what a journal says of it
+    if it was written in `place`; None if it does not fit in the memory that the worker may take."""
     from distributed import get_worker
 
     if options["max_memory"] is None:
@@ -279,7 +303,7 @@ def make_window(
     job = plan_voxelize(mesh, grid, window=window, device=shared_device(device_name), **options)
     shortage = merging_shortage(job) if merged else job.shortage
     if not shortage:
-        return _window(content_of(job, key[3]), merged)
+        return _made(key, content_of(job, key[3]), merged, place)
     refuse_smallest(key, shortage)
     return None
 
@@ -293,13 +317,16 @@ def flood_window(
     device_name: str | None,
     outside: np.ndarray | None,
     merged: bool,
-) -> Shared | Window:
+    place: Place | None,
+) -> Shared | Made:
     """Return the pieces of free space that a window shares with others or, given the roots of its
-    pieces that are outside, the window."""
+    pieces that are outside, the window as `make_window` does."""
     job = FloodWindowJob(mesh, grid, whole, key, shared_device(device_name), max_memory)
-    return job.shared() if outside is None else _window(filled(job, outside), merged)
+    return job.shared() if outside is None else _made(key, filled(job, outside), merged, place)
 
 
-def _window(content: Content, merged: bool) -> Window:
+def _made(key: Key, content: Content, merged: bool, place: Place | None) -> Made:
+    """Return a window, or what a journal says of it if this worker sees the place."""
     levels, bricks, _ = content
-    return window_of(merge(levels[::-1], bricks)) if merged else Window.of(*content)
+    window = window_of(merge(levels[::-1], bricks)) if merged else Window.of(*content)
+    return (place and write_beside(place, key, window)) or window
