@@ -392,6 +392,10 @@ def test_a_format_that_holds_none_says_so(tmp_path: Path) -> None:
         "attributes faces": ".vdb holds label, area, fraction, colour, normal",
         "opacity of colours": ".vdb holds red, green and blue",
     }
+    for name in ("vtu", "msh", "inp"):
+        plan = voxtool.plan_export(octree, tmp_path / f"a.{name}").plan
+        why = f".{name} holds labels, as materials"
+        assert plan.left_out == {"attributes colour, normal, area, fraction, faces": why}
     plan = voxtool.plan_export(octree, tmp_path / "a.vti", invert=True).plan
     assert "--invert asks for other values" in next(iter(plan.left_out.values()))
 

@@ -65,12 +65,13 @@ def merged(info: dict[str, Any]) -> Iterator[tuple[str, str]]:
         )
 
 
-def attributes(info: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def attributes(info: dict[str, Any], unit: str) -> Iterator[tuple[str, str]]:
     """Yield a line for each attribute of the voxels."""
     for name, one in info["attributes"].items():
         named = f" of {len(one['names']):,} names" if one["names"] else ""
         values = f"{one['values'] + one['leaves']:,} values in {one['bytes']:,} bytes"
-        yield name, f"{one['dtype']}{named}, {values}"
+        total = f", {one['sum']:.9g}{unit and unit + '^2'} in all" if "sum" in one else ""
+        yield name, f"{one['dtype']}{named}, {values}{total}"
 
 
 MOST_LABELS = 40  # in the text
@@ -105,7 +106,7 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
         ("bytes", f"{info['bytes']:,} on the device ({info['bytes_with_x_pointers']:,} with "
          f"x-pointers){on_disk(info)}"),
         *merged(info),
-        *attributes(info),
+        *attributes(info, unit),
         ("compression", f"{info['compression']:.1f} times smaller than a dense bit grid"),
     ))  # fmt: skip
     distinct = "     subtrees" if "subtrees" in info else ""

@@ -49,8 +49,10 @@ def _chosen(
     if not there or names is not None:
         return (), {}
     left = f"attributes {', '.join(there)}"
-    if EXCHANGE[name].hexahedra:  # labels are materials
-        return (), {}
+    if EXCHANGE[name].hexahedra:
+        lost = [one for one in there if one != "label"]
+        why = f"{ending(name)} holds labels, as materials"
+        return (), {f"attributes {', '.join(lost)}": why} if lost else {}
     if not holds:
         return (), {left: f"{ending(name)} holds none"}
     if other:

@@ -32,7 +32,7 @@ HOMES = {
     "svo/attribution/fraction.h": "voxtool.svo.attribution.fraction_rows",
     "svo/attribution/paint.h": "voxtool.svo.attribution.paint",
     "svo/attribution/pieces.h": "voxtool.svo.attribution.pieces",
-    "svo/attribution/colours.h": "voxtool.svo.attribution.colours",
+    "svo/attribution/colours.h": "voxtool.svo.attribution.surface_pass",
     "svo/attribution/textures.h": "voxtool.svo.attribution.look",
     "svo/booleans.h": "voxtool.svo.booleans",
     "svo/fill/crossings.h": "voxtool.svo.fill.rows",

@@ -132,9 +132,10 @@ class Attribute(Data):
         return [*([] if self.masks is None else [self.masks]), self.values, self.leaves]
 
     def summary(self) -> dict[str, Any]:
-        """Return the type, sizes and names in JSON types."""
+        """Return the type, sizes and names in JSON types; of areas also their sum."""
         sizes = {"values": len(self.values), "leaves": len(self.leaves), "bytes": self.nbytes}
-        return {**self.described, **sizes}
+        more = {"sum": float(self.values.sum(dtype=np.float64))} if self.name == "area" else {}
+        return {**self.described, **sizes, **more}
 
     @property
     def blank(self) -> np.ndarray:

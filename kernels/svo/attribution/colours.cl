@@ -1,6 +1,6 @@
 // Colours and normals of the voxels of a surface: means over the parts of triangles in each voxel,
 // weighted by their areas. Sums are of whole numbers, so that they do not depend on an order. Host side:
-// voxtool/svo/attribution/colours.py. Options: those of scan_conversion.h.
+// voxtool/svo/attribution/surface_pass.py. Options: those of scan_conversion.h.
 
 #include "svo/columns.h"
 #include "svo/attribution/colours.h"

@@ -7,14 +7,18 @@ import math
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers_cli import run as run_command
+from helpers_cli import told
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError
+from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh import srgb
 from voxtool.mesh.appearance import Appearance, Material, Texture
@@ -24,7 +28,8 @@ from voxtool.opencl import Device
 from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.attributes import BITS, check_attributes
 from voxtool.svo.attribution import look
-from voxtool.svo.attribution.colours import INSIDE_COLOUR, SurfaceAttributesJob, plan_attributes
+from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
+from voxtool.svo.attribution.surface_pass import INSIDE_COLOUR
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
@@ -479,6 +484,16 @@ def test_areas_add_up(device: Device) -> None:
             list(AttributeImage(VoxelImage.of(octree, level=size), "area").slabs())
         )
         assert abs(cells.sum(dtype=np.float64) - 216) < 1e-4, size
+
+
+def test_the_command_states_the_area(here: Path) -> None:
+    run_command("voxelize bunny.obj --dim 64 --mode surface26 --attributes area -o a.svo.h5")
+    total = told("svo-info a.svo.h5 --json")["attributes"]["area"]["sum"]
+    mesh = load_mesh("bunny.obj")
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    exact = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    assert abs(total / exact - 1) < 1e-3  # vertices are moved to the lattice
+    assert f", {total:.9g} in all\n" in run_command("svo-info a.svo.h5").stdout
 
 
 # ---- modes

@@ -9,8 +9,7 @@ values of its lowest triangle. With "nearest", the colour is that of
 the greatest part at its centroid, as texel, vertex and material have it.
 
 The stages: the octree, by its own job; the surface, as mode surface26 has it; the pairs of a
-triangle and a voxel, by scan conversion, once for all attributes; the values. Kernels:
-kernels/svo/attribution/colours.cl.
+triangle and a voxel, by scan conversion, once for all attributes; the values (surface_pass.py).
 """
 
 from __future__ import annotations
@@ -26,9 +25,8 @@ from voxtool.choices import ATTRIBUTES, COLOURS
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
-from voxtool.opencl import Array, Device, program
+from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.look import (
     NO_LOOK,
     check_look,
@@ -36,22 +34,14 @@ from voxtool.svo.attribution.look import (
     look_bytes,
     texels_of,
 )
-from voxtool.svo.layout import BRICK
+from voxtool.svo.attribution.surface_pass import SOURCE, VALUES, Pass, SurfaceValues
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import ActiveNodes, Scan, find_active_nodes
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
-SOURCE = "svo/attribution/colours.cl"
-OPPOSED = 1 << 16  # a sum of normals shorter than this share of the area is 0
-UNIT = 1 << 32  # of an area: that of a voxel's largest face
-HEADERS = {"svo/attribution/colours.h": program.c_constants(OPPOSED=OPPOSED, UNIT=UNIT)}
-NO_FACE = np.uint32(0xFFFFFFFF)
-INSIDE_COLOUR = (128, 128, 128, 255)  # of set voxels that the surface does not meet
 AREA_BYTES, COLOUR_BYTES, NORMAL_BYTES, INDEX_BYTES = 8, 36, 36, 8  # of a surface voxel
-VALUES = {"colour": ((4,), np.uint8), "normal": ((3,), np.float32), "area": ((), np.float32)}
-TARGETS = ("areas", "colour_sums", "normal_sums", "greatest", "faces_of")  # of a pass
 
 
 @dataclass(frozen=True)
@@ -237,7 +227,7 @@ class SurfaceAttributesJob(Job[Octree]):
         return job
 
     def _run(self) -> Octree:
-        found: list[_Surface] = []
+        found: list[SurfaceValues] = []
         if self.plan.shared:
 
             def keep(scan: Scan, active: ActiveNodes, bricks: Array) -> None:
@@ -274,7 +264,7 @@ class SurfaceAttributesJob(Job[Octree]):
         shape = self.surface.whole.shape
         return [1 - a for a in low], [n - 1 - a for a, n in zip(low, shape, strict=True)]
 
-    def _values(self, scan: Scan, active: ActiveNodes, bricks: Array) -> _Surface:
+    def _values(self, scan: Scan, active: ActiveNodes, bricks: Array) -> SurfaceValues:
         """Return the values of all voxels in the bricks of the active nodes."""
         device, plan, count = self.device, self.plan, 16 * active.nodes.n
         device.prepare((SOURCE, scan.options))
@@ -286,125 +276,8 @@ class SurfaceAttributesJob(Job[Octree]):
         if n:
             coloured = "colour" in plan.names
             look: dict[str, Any] = look_arguments(self.mesh, device) if coloured else NO_LOOK
-            work = _Work(scan, active, bricks, starts, n, look, *self._inner_sides())
+            work = Pass(scan, active, bricks, starts, n, look, *self._inner_sides())
             with self.stage("attributes"):
                 found.update(work.values(plan.names, plan.nearest))
         codes = active.nodes.get().astype(np.uint64)
-        return _Surface(codes, masks, found)
-
-
-@dataclass
-class _Work:
-    """Launches the kernels of a surface."""
-
-    scan: Scan
-    active: ActiveNodes
-    bricks: Array
-    starts: Array
-    n: int  # voxels
-    look: dict[str, Any]
-    inner_low: Sequence[int]  # the first side of voxels across each axis that two of them share
-    inner_high: Sequence[int]  # and the last
-
-    def values(self, names: Sequence[str], nearest: bool) -> dict[str, np.ndarray]:
-        """Return the values of attributes, (n,) or (n, channels)."""
-        device, n = self.scan.mesh.device, self.n
-        nearest = nearest and "colour" in names
-        sums: dict[str, Array] = {}
-        if not nearest or len(names) > 1:
-            sums["areas"] = device.zeros(n, np.uint64)
-        if "colour" in names and not nearest:
-            sums["colour_sums"] = device.zeros(4 * n, np.uint64)
-        if "normal" in names:
-            sums["normal_sums"] = device.zeros(3 * n, np.uint64)
-        faces_of = device.put(np.full(n, NO_FACE))
-        if nearest:
-            greatest = device.zeros(n, np.uint32)
-            self.add(**sums, greatest=greatest)
-            self.add(greatest=greatest, faces_of=faces_of)
-        else:
-            self.add(**sums, faces_of=faces_of)
-        values = {
-            name: device.zeros(row[0] * n, dtype)
-            for name, (row, dtype) in VALUES.items()
-            if name in names and row
-        }
-        if values:
-            self.finish(int(nearest), faces_of, sums, values)
-        found = {name: array.take().reshape(n, -1) for name, array in values.items()}
-        if "area" in names:
-            unit = max(_face_areas(self.scan)) / UNIT
-            found["area"] = (sums["areas"].get() * unit).astype(np.float32)
-        return found
-
-    def add(self, **targets: Array) -> None:
-        """Visit the pairs of triangles and voxels."""
-        shares, triangles = self.scan.shares(0)
-        self.scan.kernel(SOURCE, "add_parts")(
-            shares, **triangles, **self.active.lookup, **self.look, masks=self.bricks,
-            starts=self.starts, scale=_scale(self.scan), inner_low=self.inner_low,
-            inner_high=self.inner_high, **{**dict.fromkeys(TARGETS), **targets},
-        )  # fmt: skip
-
-    def finish(
-        self, nearest: int, faces_of: Array, sums: dict[str, Array], values: dict[str, Array]
-    ) -> None:
-        """Turn sums into values."""
-        mesh = self.scan.mesh
-        self.scan.kernel(SOURCE, "finish_values")(
-            16 * self.active.nodes.n, self.active.nodes.codes, self.bricks, self.starts,
-            mesh.vertices, mesh.faces, **self.look, scale=_scale(self.scan), nearest=nearest,
-            areas=sums.get("areas"), colour_sums=sums.get("colour_sums"),
-            normal_sums=sums.get("normal_sums"), faces_of=faces_of,
-            colour_values=values.get("colour"), normal_values=values.get("normal"),
-        )  # fmt: skip
-
-
-def _face_areas(scan: Scan) -> tuple[float, float, float]:
-    """Return the areas of a voxel's faces across x, y and z, in world units."""
-    x, y, z = scan.mesh.grid.pitch
-    return y * z, z * x, x * y
-
-
-def _scale(scan: Scan) -> tuple[float, float, float]:
-    """Return what components of a cross product on the lattice are multiplied by, for a normal in
-    world units: equal ones where voxels are cubes."""
-    areas = _face_areas(scan)
-    return tuple(one / max(areas) for one in areas)  # pyright: ignore[reportReturnType]
-
-
-@dataclass(frozen=True)
-class _Surface:
-    """The values of a surface's voxels, by the level-1 nodes that it touches."""
-
-    codes: np.ndarray  # (N,) uint64 Morton codes of the nodes
-    masks: np.ndarray  # (8 N,) uint64: voxels of their bricks
-    values: dict[str, np.ndarray]
-
-    def attributes(self, octree: Octree) -> list[Attribute]:
-        """Return the attributes of the octree's set voxels that the surface meets."""
-        codes = octree.levels()[-1].codes
-        own = (self.codes[:, None] * 8 + np.arange(8, dtype=np.uint64)).ravel()
-        if np.array_equal(codes, own) and np.array_equal(octree.bricks, self.masks):
-            held, chosen = None, slice(None)
-        else:
-            held, chosen = self._common(octree, codes, own)
-        defaults = {"colour": INSIDE_COLOUR, "normal": (0, 0, 0), "area": 0}
-        return [
-            Attribute(name, values[chosen], values[:0], held, defaults[name])
-            for name, values in self.values.items()
-        ]
-
-    def _common(
-        self, octree: Octree, codes: np.ndarray, own: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the voxels of the octree's bricks that are the surface's, too, and which of its
-        values these have."""
-        held, kept = np.zeros(len(codes), BRICK), np.zeros(len(own), BRICK)
-        if len(own):
-            place = np.minimum(np.searchsorted(own, codes), len(own) - 1)
-            both = own[place] == codes
-            held[both] = octree.bricks[both] & self.masks[place[both]]
-            kept[place[both]] = held[both]
-        set_ = (self.masks[:, None] & BITS) != 0
-        return held, ((kept[:, None] & BITS) != 0)[set_]
+        return SurfaceValues(codes, masks, found)
