@@ -25,6 +25,8 @@ BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "te
 ON_THE_HOST = (
     ("field to surface", "dual contouring"), ("octree to components", "components"),
     ("mesh to fractions of voxels", "1,000 points a voxel"),
+    ("octree with attributes to meshes", "meshes of labels, voxel-faces"),
+    ("octree with attributes to meshes", "meshes of labels, surface-nets"),
 )  # fmt: skip
 QUICK = f"--quick -q --date today --device {usable_devices()[0][0]}"
 

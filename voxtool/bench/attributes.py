@@ -18,7 +18,7 @@ from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.surface.labelled import plan_labelled
+from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 from voxtool.svo.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
@@ -82,37 +82,44 @@ def measure(bench: Bench) -> Iterator[Point]:
                 absent=absent, bytes=octree.nbytes + held, size=octree.count,
             )  # fmt: skip
             if [one.name for one in octree.attributes] in (["label"], ["colour"]):
-                yield from surfaces(octree, partial(row, work=MESHES, size=octree.count))
+                yield from surfaces(
+                    octree, bench.timed, partial(row, work=MESHES, size=octree.count)
+                )
 
 
-def surfaces(octree: Octree, row: Any) -> Iterator[Point]:
+def surfaces(octree: Octree, timed: Device, row: Any) -> Iterator[Point]:
     """The points of the surfaces of an octree with labels or colours, and of those without."""
-    for style in LABEL_STYLES:
-        single, what = partial(plan_extract, octree, style=style), octree.attributes[0].name
-        if what == "label":
+    what = octree.attributes[0].name
+    for style in LABEL_STYLES if what == "label" else (VOXEL_FACES,):  # others need an inside
+
+        def plain(device: Device, style: str = style) -> Any:
+            return plan_extract(octree, style=style, device=device).with_(colours=False)
+
+        def ours(device: Device, style: str = style) -> Any:
+            if what == "label":
+                return plan_labelled(octree, style=style)
+            return plan_extract(octree, style=style, device=device)
+
+        name = "meshes of labels" if what == "label" else "surface with colours"
+        for method, plan in ((name, ours), (f"surface without {what}s", plain)):
+            made = plan(timed).run()
             yield row(
-                method=f"meshes of labels, {style}", errors=errors_of_meshes(octree, style),
-                run=lambda _, style=style: plan_labelled(octree, style=style).run(),
+                method=f"{method}, {style}", errors=errors_of(made, octree),
+                bytes=made.vertices.nbytes + made.faces.nbytes,
+                run=lambda device, plan=plan: plan(device).run(),
             )  # fmt: skip
-        elif style == VOXEL_FACES:  # others need an inside
-            yield row(
-                method=f"surface with colours, {style}", errors={},
-                run=lambda device, single=single: single(device=device).run(),
-            )  # fmt: skip
-        else:
-            continue
-        yield row(
-            method=f"surface without {what}s, {style}", errors={},
-            run=lambda device, single=single: single(device=device).with_(colours=False).run(),
-        )  # fmt: skip
 
 
-def errors_of_meshes(octree: Octree, style: str) -> dict[str, float]:
-    """The meshes of labels that are not closed, and the volume that they all together lack."""
-    found = plan_labelled(octree, style=style).run().facts(check=True)
-    volume = sum(one["volume"] for one in found) / (octree.count * octree.grid.voxel_volume)
+def errors_of(made: Any, octree: Octree) -> dict[str, float]:
+    """The volume that the surface lacks of the voxels', and of labels the meshes that are open."""
+    whole = octree.count * octree.grid.voxel_volume
+    if not isinstance(made, LabelledSurface):
+        a, b, c = np.moveaxis(made.vertices[made.faces], 1, 0)
+        return {"volume": abs(float((a * np.cross(b, c)).sum()) / 6 / whole - 1)}
+    found = made.facts(check=True)
     is_open = sum(not one["closed"] for one in found)
-    return {"wrong": is_open / octree.grid.dim**3, "volume": abs(volume - 1)}
+    volume = sum(one["volume"] for one in found)
+    return {"wrong": is_open / octree.grid.dim**3, "volume": abs(volume / whole - 1)}
 
 
 def with_colours(mesh: Mesh) -> Mesh:

@@ -28,7 +28,11 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "voxelize": SURFACE,
     "extract": SURFACE,
     "fractions": {"rms": "of a voxel", "volume": "of the mesh's volume"},
-    "attributes": {"wrong": "of the grid's voxels", "volume": "of the octree's volume"},
+    "attributes": {
+        "wrong": "of the grid's voxels",
+        "area": "of the triangles' area",
+        "volume": "of the octree's volume",
+    },
     "surfaces": SURFACE,
     "adf": CUBE | {f"{name} near the surface": unit for name, unit in CUBE.items()},
     "distance": CUBE,
