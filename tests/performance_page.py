@@ -167,8 +167,9 @@ def surfaces(points: list[Point]) -> Rows:
         if p["method"] == "marching-cubes":
             beside = next((q for name, q in peers_of(points, p).items() if "VTK" in name), None)
         figures = p["figures"]
+        command = figures.get("command")  # none of fractions
         yield [p["model"], p["label"].removeprefix("dim "), p["method"], ms(p),
-               f"{figures['command']:.2f}", f"{figures['triangles']:,.0f}",
+               "" if command is None else f"{command:.2f}", f"{figures['triangles']:,.0f}",
                ms(beside) if beside else "",
                ratio(beside, p)]  # fmt: skip
 

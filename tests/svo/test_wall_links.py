@@ -160,7 +160,7 @@ def test_random_triangles(device, coarse: int) -> None:
 
 
 @RANDOM
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 16, 128]), st.booleans())
 def test_any_triangles(seed: int, coarse: int, wide: bool) -> None:
     check(*octree_and_mesh(seed, coarse), None, wide=wide)

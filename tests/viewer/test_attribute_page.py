@@ -53,7 +53,7 @@ def viewer(browser, octree: Octree, tmp_path_factory) -> Iterator[Viewer]:
 
 @pytest.mark.parametrize("level", ["voxel", 0, 1, 2, 3])
 def test_colours_are_those_of_pictures(octree: Octree, viewer: Viewer, level: int | str) -> None:
-    for view in ("iso", "left"):
+    for view in ("iso", "left") if level == "voxel" else ("iso",):
         camera = voxtool.camera_for(octree, view)
         for name in ("colour", "label"):
             if name in [one.name for one in octree.attributes]:

@@ -73,7 +73,7 @@ def check_neighbours(octree: Octree) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(data=st.data())
 def test_every_face_is_that_of_rational_arithmetic(device, data) -> None:
     vertices, faces = data.draw(meshes.closed_meshes(SHAPE, beyond=2, parts=2))
