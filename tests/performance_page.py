@@ -210,14 +210,15 @@ def pictures(points: list[Point]) -> Rows:
 
 
 def volumes(points: list[Point]) -> Rows:
-    yield ["transfer function", "method", "first, ms", "frame, ms", "beside", "RMS", "largest"]
+    yield ["transfer function", "method", "pixels", "first, ms", "frame, ms", "beside", "RMS",
+           "largest"]  # fmt: skip
     for p in points:
         if p["first"] is None:
             continue  # isosurfaces have no transfer function
         ours = own(points, work=p["work"], label=p["label"])[0]
-        yield [p["work"].removeprefix("frames through "), p["method"],
+        yield [p["work"].removeprefix("frames through "), p["method"], p["label"],
                digits(1e3 * p["first"]), ms(p), ratio(p, ours) if p["peer"] else "",
-               share(p["errors"]["rms"]), share(p["errors"]["max"])]  # fmt: skip
+               share(p["errors"].get("rms")), share(p["errors"].get("max"))]  # fmt: skip
 
 
 def growth(points: list[Point]) -> Rows:
