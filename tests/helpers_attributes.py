@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from voxtool.morton import morton_decode
-from voxtool.svo.attributes import Attribute
+from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.octree import Octree
 
 BLOCK = np.s_[8:24, 8:24, 0:16]  # of which leaves above the bricks are made
@@ -53,24 +53,29 @@ def attributed() -> Octree:
     )
 
 
-def label_array(octree: Octree) -> np.ndarray:
-    """The label of each voxel, (nx, ny, nz); -1 where none is set."""
-    found = np.full([-(-n // 4) * 4 for n in octree.grid.shape], -1)
-    values = octree.values("label")
-    leaves = iter(values.attribute.leaves.tolist())
+def value_array(octree: Octree, name: str) -> np.ndarray:
+    """The value of each voxel, (nx, ny, nz, ...) int64; -1 where none is set."""
+    values = octree.values(name)
+    row = values.attribute.values.shape[1:]
+    found = np.full((*[-(-n // 4) * 4 for n in octree.grid.shape], *row), -1, np.int64)
+    leaves = iter(np.asarray(values.attribute.leaves))
     for level in octree.levels():
         if level.number:
             side = level.side
             for x, y, z in level.cells[level.inside]:
                 found[x : x + side, y : y + side, z : z + side] = next(leaves)
         else:
-            each = values.of_bricks(slice(None))
             at = 4 * morton_decode(level.codes)[:, None] + morton_decode(np.arange(64))
-            bits = octree.bricks[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1) == 1
-            found[tuple(at[bits].T)] = each[bits]
+            set_ = octree.bricks[:, None] & BITS != 0
+            found[tuple(at[set_].T)] = values.of_bricks(slice(None))[set_]
     assert next(leaves, None) is None
     nx, ny, nz = octree.grid.shape
     return found[:nx, :ny, :nz]
+
+
+def label_array(octree: Octree) -> np.ndarray:
+    """The label of each voxel, (nx, ny, nz) int64; -1 where none is set."""
+    return value_array(octree, "label")
 
 
 def labelled(labels: np.ndarray, names: tuple[str, ...]) -> Octree:

@@ -7,13 +7,12 @@ from dataclasses import replace
 import meshes
 import numpy as np
 import pytest
-from helpers_attributes import attributed, scattered, sizes
+from helpers_attributes import attributed, scattered, sizes, value_array
 from helpers_cli import run, told
 
 import voxtool
 from voxtool.files import write_svo
-from voxtool.morton import morton_decode
-from voxtool.svo.attributes import BITS, Attribute
+from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.booleans import plan_combine
 from voxtool.svo.octree import Octree
@@ -43,24 +42,10 @@ def labelled(device, low: int, names: tuple[str, str], origin=(0.0, 0.0, 0.0)) -
 
 def dense(octree: Octree, name: str) -> np.ndarray:
     """The value of each voxel, as whole numbers; labels by the hash of their name."""
-    attribute = octree.attribute(name)
-    row = attribute.values.shape[1:]
-    found = np.full((*[-(-n // 4) * 4 for n in octree.grid.shape], *row), -1, np.int64)
-    values = octree.values(name)
-    leaves = iter(np.asarray(attribute.leaves))
-    for level in octree.levels():
-        if level.number:
-            side = level.side
-            for x, y, z in level.cells[level.inside]:
-                found[x : x + side, y : y + side, z : z + side] = next(leaves)
-        else:
-            at = 4 * morton_decode(level.codes)[:, None] + morton_decode(np.arange(64))
-            set_ = octree.bricks[:, None] & BITS != 0
-            found[tuple(at[set_].T)] = values.of_bricks(slice(None))[set_]
-    nx, ny, nz = octree.grid.shape
-    found = found[:nx, :ny, :nz]
+    found = value_array(octree, name)
     if name == "label":
-        table = np.array([*(sum(map(ord, name)) for name in attribute.names), -1])
+        names = octree.attribute(name).names
+        table = np.array([*(sum(map(ord, name)) for name in names), -1])
         return table[found]
     return found
 
@@ -137,7 +122,8 @@ def test_components_and_cavities_keep_labels(device) -> None:
 
 
 def test_a_note_names_what_is_not_kept(here, device) -> None:
-    """Of combinations, morphology, components, resampling, thinning and merging; none if all is."""
+    """A combination, a morphology, components, resampling, thinning and merging each name it; a
+    command that keeps every attribute says nothing."""
     names, whole = ("label", "colour", "normal", "fraction"), attributed()
     one = replace(whole, attributes=tuple(map(whole.attribute, names)))
     write_svo(one, "a.svo.h5")

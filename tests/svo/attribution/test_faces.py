@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from itertools import pairwise, product
 
 import meshes
 import numpy as np
 import pytest
 from helpers_cli import fail, run, told
+from helpers_fractions import share_by, shares_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +17,6 @@ from voxtool.errors import VoxtoolError
 from voxtool.files import write_mesh
 from voxtool.selftest.oracles import filled_face
 from voxtool.svo.attribution.fraction import plan_fractions, volume_in_units
-from voxtool.svo.layout import BRICK_VOXELS
 from voxtool.svo.octree import Octree
 
 SHAPE = (8, 3, 4)
@@ -31,24 +30,7 @@ def grid(shape: tuple[int, int, int] = SHAPE) -> voxtool.Grid:
 
 
 def dense(octree: Octree) -> np.ndarray:
-    """The shares of the faces of all voxels, (nx, ny, nz, 6) float64."""
-    values = octree.attribute("faces").values
-    most = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
-    found = np.repeat(octree.to_dense()[..., None], 6, axis=3).astype(np.float64)
-    own = octree.values("faces").of_bricks(slice(None)) / most
-    for cell, shares in zip(octree.levels()[-1].cells, own, strict=True):
-        for place, share in zip(cell + BRICK_VOXELS, shares, strict=True):
-            if (place < octree.grid.shape).all():
-                found[tuple(place)] = share
-    return found
-
-
-def share_by(fill: str, total: Fraction) -> Fraction:
-    """What is inside by a fill rule, of the integral of the winding number over a face."""
-    if fill == "parity":
-        rest = total % 2
-        return min(rest, 2 - rest)
-    return min(max(abs(total) if fill == "nonzero" else total, Fraction(0)), Fraction(1))
+    return shares_of(octree, "faces")
 
 
 def check_oracle(octree: Octree, triangles: np.ndarray, turned: bool) -> None:
@@ -206,7 +188,7 @@ def test_the_divergence_theorem_holds_in_each_voxel(device) -> None:
 
 
 def test_sampling_of_faces(device) -> None:
-    """Of 32 x 32 points of each face, as many are inside as its share says."""
+    """The share of 32 x 32 points of each face that are inside is near the share stored."""
     rng, n, fine = np.random.default_rng(8), 10, 32
     vertices, faces = meshes.torus()
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))

@@ -8,6 +8,7 @@ from itertools import product
 import meshes
 import numpy as np
 import pytest
+from helpers_fractions import share_by, shares_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +20,6 @@ from voxtool.svo.attribution.fraction import (
     plan_fractions,
     volume_in_units,
 )
-from voxtool.svo.layout import BRICK_VOXELS
 from voxtool.svo.octree import Octree
 from voxtool.svo.stored_volume import WHOLE, stored_volume
 
@@ -30,24 +30,7 @@ TOTALS = {"f4": 1e-6, "u2": 1e-5, "u1": 1e-3}
 
 
 def dense(octree: Octree) -> np.ndarray:
-    """The fractions of all voxels, (nx, ny, nz) float64; of whole numbers, as shares."""
-    values = octree.attribute("fraction").values
-    most = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
-    found = octree.to_dense().astype(np.float64)
-    own = octree.values("fraction").of_bricks(slice(None)) / most
-    for cell, shares in zip(octree.levels()[-1].cells, own, strict=True):
-        for place, share in zip(cell + BRICK_VOXELS, shares, strict=True):
-            if (place < octree.grid.shape).all():
-                found[tuple(place)] = share
-    return found
-
-
-def share_by(fill: str, total: Fraction) -> Fraction:
-    """What is inside by a fill rule, of the integral of the winding number over a voxel."""
-    if fill == "parity":
-        rest = total % 2
-        return min(rest, 2 - rest)
-    return min(max(abs(total) if fill == "nonzero" else total, Fraction(0)), Fraction(1))
+    return shares_of(octree, "fraction")
 
 
 def check_oracle(octree: Octree, triangles: np.ndarray) -> None:

@@ -228,10 +228,7 @@ class PartLabelsJob(Job[Octree]):
     max_memory: int | None = None
 
     def _run(self) -> Octree:
-        octrees = []
-        for job in self.jobs:
-            with warnings.catch_warnings(action="ignore", category=MeshWarning):
-                octrees.append(job.run(self._progress))
+        octrees = self._voxelized()
         with self.stage(UNITE):
             union = unite(self.device, self._nodes(octrees))
             label_of = np.argsort(self.ranks).astype(self.plan.dtype)  # of each rank
@@ -240,6 +237,14 @@ class PartLabelsJob(Job[Octree]):
             with self.stage(AREAS):
                 self._decide_by_area(union, values)
         return self._octree(union, values, leaves, {octree.fill for octree in octrees})
+
+    def _voxelized(self) -> list[Octree]:
+        """Return the octrees of the jobs; what a job would warn of, this one says of its part."""
+        octrees = []
+        for job in self.jobs:
+            with warnings.catch_warnings(action="ignore", category=MeshWarning):
+                octrees.append(job.run(self._progress))
+        return octrees
 
     def _nodes(self, octrees: Sequence[Octree]) -> Nodes:
         """Return the nodes of all parts on the lattice of the grid."""

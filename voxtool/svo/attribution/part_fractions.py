@@ -8,7 +8,6 @@ their union has.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.choices import FRACTION_TYPES
-from voxtool.errors import MeshWarning, count_of
+from voxtool.errors import count_of
 from voxtool.grid import Grid
 from voxtool.job import Cost
 from voxtool.mesh.appearance import Parts
@@ -102,10 +101,7 @@ class PartFractionsJob(PartLabelsJob):
     jobs: Any
 
     def _run(self) -> Octree:
-        octrees = []
-        for job in self.jobs:
-            with warnings.catch_warnings(action="ignore", category=MeshWarning):
-                octrees.append(job.run(self._progress))
+        octrees = self._voxelized()
         with self.stage(UNITE):
             union = unite(self.device, self._nodes(octrees))
             shares = PartShares(union)
