@@ -4,6 +4,7 @@ an attribute follows, by the rules of attribute_levels.py.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,7 @@ def _merged(cells: np.ndarray, labels: np.ndarray, counts: np.ndarray) -> Any:
     return cells[order][first], labels[order][first], sums.astype(np.int64)
 
 
-class _Sums:
+class _Sums(ABC):
     """Of numbers: their sums over the voxels of a cell, and how many are summed and how many set,
     as (n, channels + 2)."""
 
@@ -134,9 +135,9 @@ class _Sums:
         found[set_ == 0] = 0
         return found.reshape(n, *self.attribute.values.shape[1:])
 
+    @abstractmethod
     def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
         """Return the values of cells of these sums."""
-        raise NotImplementedError
 
 
 class _Colours(_Sums):

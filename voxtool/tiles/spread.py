@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -252,14 +251,15 @@ class SpreadFloodJob(SpreadJob, FloodWindowsJob):
                 again += self._take(key, faces, made)
             missing = again
 
-    def _submitter(self, outside: Mapping[Key, np.ndarray] = MappingProxyType({})) -> Any:
+    def _submitter(self, outside: Mapping[Key, np.ndarray] | None = None) -> Any:
         """Return a function that submits a window: for what it shares, or to be filled."""
         send = self._sender()
 
         def submit(wanted: Wanted) -> Any:
             key, faces = wanted
             given = (send(faces), self.grid, self.whole.plan, key, self.max_memory)
-            of = (self.device_name, outside.get(key), self.merged, self._place)
+            roots = None if outside is None else outside[key]
+            of = (self.device_name, roots, self.merged, self._place)
             return self.client.submit(flood_window, *given, *of, pure=False)
 
         return submit
@@ -274,12 +274,10 @@ def spread(
 ) -> SpreadJob:
     """Return the job of a voxelization by the workers of a cluster, with `merged` one that merges
     subtrees."""
-    flood = whole.plan.fill == "flood"
-    kind = (
-        (SpreadFloodMergingJob if flood else SpreadMergingJob)
-        if merged
-        else (SpreadFloodJob if flood else SpreadJob)
-    )
+    if whole.plan.fill == "flood":
+        kind = SpreadFloodMergingJob if merged else SpreadFloodJob
+    else:
+        kind = SpreadMergingJob if merged else SpreadJob
     return kind(whole, client, device_name)
 
 
