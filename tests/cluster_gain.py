@@ -119,7 +119,7 @@ def sending(client: Any) -> float:
 
 
 def cost_of_window(client: Any, mesh: Any, dim: int, mode: str, coarse: Run) -> float:
-    """What a window costs beside its voxels, in s; at least 0."""
+    """The seconds that a window costs beside its voxels, at least 0."""
     share = spreading.SHARE
     spreading.SHARE = FINER * share
     try:

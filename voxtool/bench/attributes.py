@@ -39,8 +39,8 @@ TOO_LARGE = {"wrong": f"labels are compared up to dim {DENSE_DIM}"}
 
 def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model: its solid without and with labels of its shells; its surface without
-    attributes, with areas, with normals, with colours of its vertices, and with both; and the
-    meshes of these."""
+    attributes, with areas, with normals, with colours of its vertices, and with colours and
+    normals; and the meshes of labels and of colours."""
     mesh = load_mesh(bench.model)
     painted = with_colours(mesh)
     for dim in bench.request.dims:

@@ -70,7 +70,7 @@ def attributes(info: dict[str, Any], unit: str) -> Iterator[tuple[str, str]]:
     for name, one in info["attributes"].items():
         named = f" of {len(one['names']):,} names" if one["names"] else ""
         values = f"{one['values'] + one['leaves']:,} values in {one['bytes']:,} bytes"
-        total = f", {one['sum']:.9g}{unit and unit + '^2'} in all" if "sum" in one else ""
+        total = f", {one['sum']:.9g}{unit and unit + '^2'} in total" if "sum" in one else ""
         yield name, f"{one['dtype']}{named}, {values}{total}"
 
 

@@ -3,10 +3,10 @@
 //
 // Along a row of voxels, towards high x, a triangle begins or ends what is inside. Its part in a voxel
 // has a signed area, across x, and a volume between the part and the voxel's high-x side. The volume
-// of a voxel that lies inside is this volume and the areas of all parts in the voxels before it. These
-// areas alone are the area of the face between two voxels that lies inside; so are those across y and z
-// along the rows of these axes. All are rounded to whole numbers of 2^-UNIT_BITS, so that their sums do
-// not depend on an order.
+// of a voxel that lies inside is this volume plus the areas of all parts in the voxels before it. The
+// sum of the areas up to the face between two voxels is the part of the face that lies inside; across y
+// and z, along the rows of these axes, too. Areas and volumes are rounded to whole numbers of
+// 2^-UNIT_BITS, so that sums do not depend on an order.
 
 #include "svo/columns.h"
 #include "svo/attribution/fraction.h"

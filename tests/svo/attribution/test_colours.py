@@ -489,7 +489,7 @@ def test_the_command_states_the_area(here: Path) -> None:
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
     exact = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     assert abs(total / exact - 1) < 1e-3  # vertices are moved to the lattice
-    assert f", {total:.9g} in all\n" in run_command("svo-info a.svo.h5").stdout
+    assert f", {total:.9g} in total\n" in run_command("svo-info a.svo.h5").stdout
 
 
 # ---- modes

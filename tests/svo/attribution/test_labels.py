@@ -238,7 +238,7 @@ def test_each_part_has_its_own_fill(device, fill: str) -> None:
 
 @pytest.mark.parametrize("fill", ["parity", "nonzero"])
 def test_rows_that_leak_stay_with_their_part(device, fill: str) -> None:
-    """Boxes without the side towards +x, whose rows leak to the side of the grid."""
+    """Boxes are open at high x, so the fill leaks along their rows to the side of the grid."""
     solids = [meshes.box((400 + 600 * i, 400, 400), (800 + 600 * i, 1200, 1200)) for i in range(5)]
     right = [np.flatnonzero((np.asarray(v)[np.asarray(f), 0] == np.asarray(v)[:, 0].max()).all(1))
              for v, f in solids]  # fmt: skip

@@ -149,8 +149,8 @@ def triangles_of(points: np.ndarray, faces: np.ndarray) -> set[tuple[tuple[int, 
 
 @pytest.mark.parametrize("style", LABEL_STYLES)
 def test_one_label_is_the_surface_without_labels(style: str, device) -> None:
-    """Where voxels do not touch in an edge or a corner only, vertices and triangles are those of
-    `extract` without labels, which computes them on the device."""
+    """The vertices and triangles are those of `extract` without labels, which computes them on the
+    device, as no two voxels touch only in an edge or a corner."""
     dense = ball((23, 20, 21))
     found = extracted(labelled(dense.astype(int) - 1, ("one",)), style)
     expected = voxtool.extract(octree_from_dense(dense), style=style, level="voxel", device=device)
@@ -158,7 +158,7 @@ def test_one_label_is_the_surface_without_labels(style: str, device) -> None:
 
 
 def test_borders_leave_no_groove() -> None:
-    """Where two labels lie side by side in a plate, its upper side stays flat. The plate's rim is
+    """The upper side of a plate of two labels side by side stays flat. The plate's rim is
     farther away than the relaxation reaches."""
     half = RELAXATIONS + 4
     plate = np.full((2 * half, 2 * half, 12), -1)
