@@ -139,10 +139,10 @@ float2 narrow_bound_apart(const child_list *list, const float (*at)[8], float3 c
             shortfall = greater(shortfall, size[i] - d[i]);
             one &= feature == features;
         }
-        const float16 across = one & (features < A) ? (float16)0.25f : (float16)0.5f;
+        const float16 across = (one & (features < A)) ? (float16)0.25f : (float16)0.5f;
         const float16 bend = narrow_bend(least - n.doubt, across, edge);
         const int16 aside = low > -n.doubt | high < n.doubt;
-        shortfall += aside & (beyond < bend) ? beyond : bend;
+        shortfall += (aside & (beyond < bend)) ? beyond : bend;
         below = greater(below, shortfall);
         doubt = greater(doubt, n.doubt);
         const float lowest_excess = -highest_narrow(-excess);
