@@ -43,6 +43,12 @@ def loaded(run: runner.Run, octree: OctreeContent, name: str) -> Octree:
         return run.stage("read octree", in_memory, octree)
 
 
+def refuse_stdout(run: runner.Run) -> None:
+    """Refuse windows without a file beside which they can wait."""
+    if run.to_stdout and not run.only_plan:
+        raise click.UsageError("windows wait beside the output: name a file with -o")
+
+
 def make_in_windows(
     run: runner.Run, job: WindowsJob | OperationJob, resume: bool, no_keep: bool, **facts: Any
 ) -> BlockOctree:
@@ -52,8 +58,7 @@ def make_in_windows(
 
     if run.only_plan:
         run.job(job, **facts)
-    if run.to_stdout:
-        raise click.UsageError("windows wait beside the output: name a file with -o")
+    refuse_stdout(run)
     with Windows(
         str(run.output), job.request, job.plan.disk, resume=resume, keep=not no_keep
     ) as job.store:

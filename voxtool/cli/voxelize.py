@@ -22,7 +22,7 @@ from voxtool.choices import (
     PRIORITIES,
 )
 from voxtool.cli import options, runner
-from voxtool.cli.in_windows import make_in_windows, windows_options
+from voxtool.cli.in_windows import make_in_windows, refuse_stdout, windows_options
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import MemoryLimitError, human
@@ -167,6 +167,8 @@ def command(
     run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
     if dask and run.file_format != "svo.h5":
         raise click.UsageError("--dask writes .svo.h5: name one with -o, and use voxtool export")
+    if dask:
+        refuse_stdout(run)
     if dag and run.file_format not in MERGED_FORMATS:
         raise click.UsageError("--dag writes .svo.h5: name one with -o")
     if thin and (dask or resume):

@@ -18,7 +18,7 @@ from voxtool.limits import processors
 from voxtool.opencl import THREADS
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 Call = TypeVar("Call")
 LOCAL = "local"  # in place of an address: processes of this machine
@@ -47,10 +47,10 @@ def connected(address: str, workers: int | None = None) -> Iterator[Client]:
     FileError
         If distributed is not installed.
     DeviceError
-        If no scheduler answers.
+        If no scheduler answers, or none starts.
     """
     try:
-        from distributed import Client, LocalCluster
+        from distributed import Client
         from distributed.utils import silence_logging_cmgr
     except ImportError:
         raise FileError("Dask is not installed: pip install 'voxtool[dask]'") from None
@@ -64,17 +64,24 @@ def connected(address: str, workers: int | None = None) -> Iterator[Client]:
         with silence_logging_cmgr(logging.CRITICAL), client:  # what was lost is sent again
             yield client
         return
-    with (
-        LocalCluster(
-            n_workers=workers or processors() or None,
-            threads_per_worker=1,
-            dashboard_address="127.0.0.1:0",
-            env=dict.fromkeys(THREADS, "1"),
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    with _started(workers) as cluster, Client(cluster) as client:
         yield client
+
+
+def _started(workers: int | None) -> LocalCluster:
+    """Return a cluster of this machine; raise DeviceError if it does not start."""
+    from distributed import LocalCluster
+
+    for _ in range(2):
+        with suppress(AssertionError):  # its thread did not start within 10 s: a busy machine
+            return LocalCluster(
+                n_workers=workers or processors() or None,
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                env=dict.fromkeys(THREADS, "1"),
+                silence_logs=logging.CRITICAL,
+            )
+    raise DeviceError(f"--dask {LOCAL}: Dask does not start: the machine is busy, try again")
 
 
 def results(
