@@ -14,11 +14,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Blocks:
-    """A one-dimensional array that is not in memory: its blocks come one after the other."""
+    """An array of `size` rows that is not in memory: blocks of rows come one after the other."""
 
     size: int
     dtype: np.dtype
     blocks: Iterator[np.ndarray]
+    row: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return self.size

@@ -8,7 +8,8 @@ stages of a level are in levels.py.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, Self
 
@@ -23,15 +24,19 @@ from voxtool.adf.levels import (
     Construction,
     Examined,
     Level,
+    Store,
+    Waiting,
     constrain,
     examine,
     programs,
+    ranks_of,
     refine,
     sample,
     windows_of,
 )
-from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, WINDOW, FieldPlan
+from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.adf.survey import Survey, cube_of
+from voxtool.errors import human
 from voxtool.job import Job
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
@@ -56,11 +61,13 @@ def plan_adf(
     sign: str | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
+    stores: Callable[[], Store] | None = None,
     **request: Any,
 ) -> FieldJob:
     """Return the job of building the distance field of a mesh.
 
-    request: tolerance, max_level, band, continuous, bounds, max_bytes, measure and max_texture, as
+    stores: makes a store where levels and blocks wait that exceed max_memory; without it the field
+    is refused. request: tolerance, max_level, band, continuous, bounds, max_bytes, measure and max_texture, as
     in voxtool.build_adf.
     """
     plan = FieldPlan(triangles=len(mesh.faces), sign=sign or "", **request)
@@ -73,7 +80,7 @@ def plan_adf(
         closed=survey.closed,
         sign=sign or ("pseudonormal" if survey.closed else "winding"),
     )
-    return FieldJob(survey, plan, max_memory)
+    return FieldJob(survey, plan, max_memory, stores)
 
 
 class FieldJob(Job["DistanceField"]):
@@ -82,8 +89,14 @@ class FieldJob(Job["DistanceField"]):
     `plan` and `describe()` build the upper levels to predict the others; `run()` continues there.
     """
 
-    def __init__(self, survey: Survey, plan: FieldPlan, max_memory: int | None) -> None:
-        self.device, self.max_memory = survey.device, max_memory
+    def __init__(
+        self,
+        survey: Survey,
+        plan: FieldPlan,
+        max_memory: int | None,
+        stores: Callable[[], Store] | None,
+    ) -> None:
+        self.device, self.max_memory, self.stores = survey.device, max_memory, stores
         self._survey, self._plan = survey, plan
         self._build: _Build | None = None  # the upper levels, once they are built
 
@@ -91,8 +104,9 @@ class FieldJob(Job["DistanceField"]):
     def plan(self) -> FieldPlan:
         """The decisions, and the number of cells of each level that has been built."""
         if not self._plan.refined:
-            self._build = _Build(self._survey, self._plan, self._memory)
+            self._build = _Build(self._survey, self._plan, self._memory, self.stores)
             self._build.run(PILOT_LEVEL - 1)
+            self._build.make_room()
             self._plan = self._build.plan
         return self._plan
 
@@ -128,7 +142,7 @@ class FieldJob(Job["DistanceField"]):
         return most, device.info.max_allocation
 
     def _run(self) -> DistanceField:
-        build = self._build or _Build(self._survey, self._plan, self._memory)
+        build = self._build or _Build(self._survey, self._plan, self._memory, self.stores)
         self._build = None
         build.run()
         self._plan = build.plan
@@ -148,6 +162,13 @@ class FieldJob(Job["DistanceField"]):
             yield (
                 f"{name}: the field has no inside: it is negative nowhere, so the mesh encloses "
                 f"nothing, or nothing as wide as a leaf of level {result.depth}"
+            )
+
+    def notes(self, result: DistanceField) -> Iterator[str]:
+        """Yield a remark if voxels and levels waited on the disk."""
+        if self._plan.stored:
+            yield (
+                f"built in windows: what does not fit in {human(self._memory[0])} waited on the disk"
             )
 
     def sign_finding(self) -> str:
@@ -187,15 +208,23 @@ def _programs(survey: Survey, plan: FieldPlan) -> list[Request]:
 
 
 class _Build:
-    """A field under construction: the blocks of the levels built so far, and the next level."""
+    """A field under construction: the blocks of the levels built so far, and the next level, in
+    parts that are the refined children of one window each; `ranks` is that of the level above."""
 
-    def __init__(self, survey: Survey, plan: FieldPlan, memory: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        survey: Survey,
+        plan: FieldPlan,
+        memory: tuple[int, int],
+        stores: Callable[[], Store] | None,
+    ) -> None:
         survey.device.prepare(*_programs(survey, plan))
-        self.work, self.memory = Construction(survey, plan), memory
-        self.level = self.work.root()
-        self.more = True
-        self.plan = replace(plan, refined=(1,), items=self.level.arrays["items"].size)
-        self.plan.refuse_beyond(*memory)
+        self.work, self.memory, self.stores = Construction(survey, plan), memory, stores
+        root = self.work.root()
+        self.number, self.level, self.ranks = 0, [root], np.zeros(0, np.uint32)
+        self.plan = replace(plan, refined=(1,), items=root.arrays["items"].size)
+        self.waiting: Store | None = None  # of the next level, if it is not in memory
+        self.stored: Store | None = None  # of the voxels, if they are not in memory
         self.identifiers: list[np.ndarray] = []
         self.voxels: list[np.ndarray] = []
         self.codes: list[np.ndarray] = []
@@ -204,23 +233,68 @@ class _Build:
 
     def run(self, last: int | None = None) -> None:
         """Build the levels down to `last`, or all."""
-        while self.more and (last is None or self.level.number <= last):
-            work, level = self.work, self.level
-            ends = level.number + 1 == self.plan.max_level
-            windows = windows_of(level, WINDOW) if ends else (level,)
-            found = Examined.of([self._examined(window) for window in windows])
-            if self.plan.max_bytes is not None and not ends:
-                self._limit(found, self.plan.max_bytes)
-                work.device.write(level.arrays["ranks"], found.refined)
-            self._add_blocks(found)
-            refined = found.refined != 0
-            self.more = bool(refined.any())
-            if self.more:
-                counts = *self.plan.refined, int(np.count_nonzero(refined))
-                items = int(level.arrays["needed"].get()[refined].sum(dtype=np.int64))
-                self.plan = replace(self.plan, refined=counts, items=items)
-                self.plan.refuse_beyond(*self.memory)
-                self.level = refine(work, level, items)
+        while self.level and (last is None or self.number <= last):
+            self.make_room()
+            self.plan.refuse_beyond(*self.memory)
+            parts, flags = [], []
+            for level in self._windows():
+                refined, finer = self._built(level)
+                flags.append(refined)
+                if finer is not None:
+                    parts.append(Waiting.of(finer, self.waiting) if self.waiting else finer)
+            self.ranks = ranks_of(flags)
+            self.number, self.level = self.number + 1, parts
+
+    def make_room(self) -> None:
+        """Begin to keep levels and voxels in stores, if they will exceed memory."""
+        if not self.stores or self.plan.max_bytes is not None:
+            return
+        self.plan = self.plan.fitting(*self.memory)
+        if not self.plan.stored:
+            return
+        self.waiting = self.stores()
+        if self.stored is None:
+            self.stored = self.stores()
+            for voxels in self.voxels:
+                self.stored.put(voxels)
+            self.voxels.clear()
+
+    def _windows(self) -> Iterator[Level]:
+        """Yield the cells of the level in windows, on the device."""
+        ranks = self.work.device.put(self.ranks)
+        size = self.plan.window if self.plan.max_bytes is None else math.inf
+        while self.level:
+            part = self.level.pop(0)
+            level = part.level(self.work.device) if isinstance(part, Waiting) else part
+            level.arrays["parent_ranks"] = ranks
+            yield from windows_of(level, size)
+
+    def _built(self, level: Level) -> tuple[np.ndarray, Level | None]:
+        """Return which children of a level's cells are refined, uint32, and these, if there are
+        any."""
+        found = self._examined(level)
+        ends = level.number + 1 == self.plan.max_level
+        if self.plan.max_bytes is not None and not ends:
+            self._limit(found, self.plan.max_bytes)
+            self.work.device.write(level.arrays["ranks"], found.refined)
+        self._add_blocks(level, found)
+        refined = found.refined != 0
+        if not refined.any():
+            return found.refined, None
+        items = int(level.arrays["needed"].get()[refined].sum(dtype=np.int64))
+        self._count(level.number + 1, int(np.count_nonzero(refined)), items)
+        return found.refined, refine(self.work, level, items)
+
+    def _count(self, level: int, cells: int, items: int) -> None:
+        """Count cells of a level, and the triangles of their lists; refuse what does not fit."""
+        counts = list(self.plan.refined)
+        if len(counts) == level:
+            counts.append(0)
+            self.plan = replace(self.plan, items=0)
+        counts[level] += cells
+        self.plan = replace(self.plan, refined=tuple(counts), items=self.plan.items + items)
+        if not self.stores:
+            self.plan.refuse_beyond(*self.memory)
 
     def _examined(self, level: Level) -> Examined:
         """Return the children of cells of a level, whose blocks are sampled."""
@@ -236,11 +310,14 @@ class _Build:
         worst_first = np.argsort(-found.errors[candidates], kind="stable")
         found.refined[candidates[worst_first[max(left, 0) :]]] = 0
 
-    def _add_blocks(self, found: Examined) -> None:
-        """Add the blocks of the level, and count its leaves that miss the tolerance."""
-        identifiers, errors = self.level.arrays["identifiers"].get(), found.errors
+    def _add_blocks(self, level: Level, found: Examined) -> None:
+        """Add the blocks of a level's cells, and count their leaves that miss the tolerance."""
+        identifiers, errors = level.arrays["identifiers"].get(), found.errors
         self.identifiers.append(identifiers)
-        self.voxels.append(found.voxels)
+        if self.stored:
+            self.stored.put(found.voxels)
+        else:
+            self.voxels.append(found.voxels)
         leaves = found.refined == 0
         self.codes.append(np.where(leaves, found.codes, np.uint8(NO_LEAF)))
         self.jumps += int(np.count_nonzero((errors < 0) & leaves))
@@ -250,13 +327,19 @@ class _Build:
             worst = over[np.argmax(errors[over])]
             if self.worst is None or errors[worst] > self.worst[0]:
                 identifier = int(identifiers[worst // 8]) << 3 | int(worst % 8)
-                self.worst = (float(errors[worst]), self.level.number + 1, identifier)
+                self.worst = (float(errors[worst]), level.number + 1, identifier)
 
     def field(self) -> DistanceField:
         """Return the field that consists of the blocks."""
         work, plan, mesh = self.work, self.plan, self.work.survey.mesh
         origin, side = cube_of(mesh)
         identifiers = np.concatenate(self.identifiers)
+        shape = len(identifiers), 3, 3, 3
+        voxels = (
+            self.stored.mapped(np.float32, shape)
+            if self.stored
+            else np.concatenate(self.voxels).reshape(shape)
+        )
         levels, ijk = cell_of(identifiers)
         with work.device.stage("hash"):
             table = build_hash(key_of(levels, ijk), work.device)
@@ -274,7 +357,7 @@ class _Build:
             reached["balanced"] = not work.unbalanced.get()[0]
         return assemble(
             identifiers.astype(identifier_type(int(levels[-1]))),
-            np.concatenate(self.voxels).reshape(-1, 3, 3, 3),
+            voxels,
             np.concatenate(self.codes).reshape(-1, 2, 2, 2) if plan.bounds else None,
             table,
             origin=tuple(origin.tolist()),

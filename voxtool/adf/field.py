@@ -36,11 +36,12 @@ from voxtool.adf.cells import (
 from voxtool.adf.host_query import CORNERS, QueryResult, query_on_host
 from voxtool.adf.packing import shapes
 from voxtool.adf.spatial_hash import SpatialHash
-from voxtool.arrays import Data, digest_of
+from voxtool.arrays import Data, blocks_of, digest_of
 from voxtool.choices import MAX_LEVEL
 from voxtool.errors import FileError, VoxtoolError
 
 EXACT = "side", "tolerance", "band", "lipschitz"  # attributes that the digest covers in full
+AT_ONCE = 1 << 16  # blocks that are checked at once
 FAR = 1024.0  # sides: far beyond any distance in a cube, and safe from overflow
 
 
@@ -300,7 +301,9 @@ class DistanceField(Data):
             raise FileError(
                 f"field: a cube of side {self.side:g} at {self.origin} is beyond float64"
             )
-        if n == 0 or self.voxels.shape != (n, 3, 3, 3) or not (np.abs(self.voxels) <= FAR).all():
+        shaped = n > 0 and self.voxels.shape == (n, 3, 3, 3)
+        parts = blocks_of(self.voxels, AT_ONCE) if shaped else ()
+        if not shaped or not all((np.abs(some) <= FAR).all() for some in parts):
             raise FileError("field voxels: blocks of 3 x 3 x 3 finite distances are expected")
         if self.cells.shape not in ((m, m, m, 2), (m, m, m, 3)):
             raise FileError(f"field cells: {self.cells.shape} where the hash has m = {m}")

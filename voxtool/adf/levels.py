@@ -13,14 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from voxtool.adf.cells import JUMP, bound_values
 from voxtool.adf.plan import FieldPlan
 from voxtool.adf.survey import Survey
-from voxtool.opencl import Array, program
+from voxtool.opencl import Array, Device, program
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.spatial.bvh import TriangleTree
@@ -33,7 +33,7 @@ KEPT = 32  # triangles of a cell that are combined in pairs, at most
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
-OF_PARENTS = ["parent_values", "parent_states", "parent_neighbours", "parent_ranks"]
+OF_PARENTS = ["parent_values", "parent_states", "parent_neighbours"]
 
 # ---- the points at which a cell is sampled
 
@@ -105,10 +105,12 @@ HEADERS = {
 
 @dataclass
 class Level:
-    """The refined cells of a level, on the device; the root has level 0.
+    """Refined cells of a level that follow one another along the Morton curve, on the device; the
+    root has level 0.
 
     arrays : by the names of the kernels' parameters, as far as the stages have computed them:
-        identifiers : uint64, rising; sources : uint32, which child of the level above each cell is.
+        identifiers : uint64, rising; sources : uint32, which child of the cells whose arrays are
+            OF_PARENTS each cell is.
         begins, items : uint32, where the list of each cell begins, and the triangles of all lists.
         masks, needed : uint8 an item, the children that need it; uint32 a child, its number of
             items.
@@ -119,7 +121,8 @@ class Level:
         neighbours : uint32, 27 a cell, see find_neighbours.
         ranks : uint32, a child: whether it is refined, then the number of refined children before
             it.
-        OF_PARENTS : arrays of the level above.
+        parent_ranks : the same of the whole level above; OF_PARENTS : arrays of those cells of it
+            whose children these are.
     """
 
     number: int
@@ -203,12 +206,12 @@ class Construction:
         return Level(0, 1, {name: self.device.put(values) for name, values in arrays.items()})
 
 
-def windows_of(level: Level, size: int) -> Iterator[Level]:
-    """Yield a level in parts of up to `size` cells, which follow one another along the Morton
-    curve: stages need of the others only the level above."""
+def windows_of(level: Level, size: float) -> Iterator[Level]:
+    """Yield cells in parts of up to `size`: stages need of the others only the level above."""
     if level.count <= size:
         yield level
         return
+    size = int(size)
     device, arrays = level.arrays["items"].device, level.arrays
     begins = arrays["begins"].get()
     for first in range(0, level.count, size):
@@ -283,18 +286,6 @@ class Examined:
     errors: np.ndarray
     codes: np.ndarray
 
-    @classmethod
-    def of(cls, parts: Sequence[Examined]) -> Examined:
-        """Return the children of the cells of parts that follow one another."""
-        if len(parts) == 1:
-            return parts[0]
-        arrays = (np.concatenate(each) for each in zip(*map(_arrays, parts), strict=True))
-        return cls(*arrays)
-
-
-def _arrays(found: Examined) -> tuple[np.ndarray, ...]:
-    return found.voxels, found.refined, found.errors, found.codes
-
 
 def examine(work: Construction, level: Level) -> Examined:
     """Return the errors of the children of a level's cells, and which of them are refined."""
@@ -319,7 +310,7 @@ def examine(work: Construction, level: Level) -> Examined:
 
 
 def refine(work: Construction, level: Level, size: int) -> Level:
-    """Return the next level, of the refined children, at least one; its lists have `size`
+    """Return the refined children of a level's cells, at least one; their lists have `size`
     triangles."""
     device, n = work.device, level.count
     parents = {f"parent_{name}": array for name, array in level.arrays.items()}
@@ -334,3 +325,51 @@ def refine(work: Construction, level: Level, size: int) -> Level:
     for name in parents.keys() - OF_PARENTS:
         del finer.arrays[name]
     return finer
+
+
+def ranks_of(flags: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the number of refined children before each child of a level, and of all, uint32, from
+    the flags of its windows."""
+    ranks = np.zeros(sum(map(len, flags)) + 1, np.uint32)
+    np.cumsum(np.concatenate(flags), out=ranks[1:])
+    return ranks
+
+
+# ---- levels that wait
+
+
+class Store(Protocol):
+    """Arrays that wait elsewhere than in memory, as voxtool.files.spool.Spool has them."""
+
+    def put(self, array: np.ndarray) -> Any:
+        """Add an array; return what `get` takes."""
+        ...
+
+    def get(self, piece: Any) -> np.ndarray:
+        """Return an array."""
+        ...
+
+    def mapped(self, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
+        """Return all that was added as one array, which is read where it is used."""
+        ...
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A Level whose arrays are in a store."""
+
+    number: int
+    count: int
+    store: Store
+    pieces: dict[str, Any]
+
+    @classmethod
+    def of(cls, level: Level, store: Store) -> Waiting:
+        """Put a new level, of which no stage has run, in a store."""
+        pieces = {name: store.put(array.get()) for name, array in level.arrays.items()}
+        return cls(level.number, level.count, store, pieces)
+
+    def level(self, device: Device) -> Level:
+        """Return the level on the device."""
+        arrays = {name: device.put(self.store.get(piece)) for name, piece in self.pieces.items()}
+        return Level(self.number, self.count, arrays)

@@ -10,11 +10,13 @@ cubes whose sides are at most about those of the voxels, so they fit, too.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.adf.cells import identifiers_in
+from voxtool.arrays import Blocks, blocks_of
 from voxtool.errors import FileError
 
 if TYPE_CHECKING:
@@ -50,12 +52,22 @@ def pack_blocks(blocks: np.ndarray) -> np.ndarray:
 
     blocks : (n, s, s, s), [block, z, y, x]
     """
-    n, side = len(blocks), blocks.shape[-1]
-    x, y, z = arrangement(n)
-    places = np.zeros((x * y * z, side, side, side), blocks.dtype)
-    places[:n] = blocks
-    apart = places.reshape(z, y, x, side, side, side).transpose(0, 3, 1, 4, 2, 5)
-    return apart.reshape(z * side, y * side, x * side)
+    return np.concatenate(list(layers_of(blocks).blocks))
+
+
+def layers_of(blocks: np.ndarray) -> Blocks:
+    """Return the same texture in layers of blocks, for blocks that are not in memory."""
+    side = blocks.shape[-1]
+    x, y, z = arrangement(len(blocks))
+
+    def layers() -> Iterator[np.ndarray]:
+        for some in blocks_of(blocks, x * y):
+            places = np.zeros((x * y, side, side, side), blocks.dtype)
+            places[: len(some)] = some
+            apart = places.reshape(y, x, side, side, side).transpose(2, 0, 3, 1, 4)
+            yield apart.reshape(side, y * side, x * side)
+
+    return Blocks(z * side, blocks.dtype, layers(), (y * side, x * side))
 
 
 def unpack_blocks(texture: np.ndarray, side: int) -> np.ndarray:

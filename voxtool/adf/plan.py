@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from voxtool.adf.field import FAR
@@ -24,12 +24,17 @@ from voxtool.choices import (
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost
 
-BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
+VOXEL_BYTES = 27 * 4  # of a block
+BLOCK_BYTES = VOXEL_BYTES + 8 + 8 + 1  # and cell, bounds, and about as much of the hash
+HASH_BYTES = 86  # of a block, while the hash is made
 NARROW_LEVEL = 11  # leaves up to this level have parents with 32-bit identifiers
-WINDOW = 1 << 16  # cells of the last level that are sampled and examined at once
+WINDOW = 1 << 16  # cells that are sampled and examined at once
+LEAST_WINDOW = 1 << 10  # the same where memory is short
 PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
 GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
 CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (8 + 4 + 4 + 1 + 4)  # of a refined cell
+LEFT_BYTES = 27 * (8 + 4) + 1 + 2 * 8  # what a cell leaves to its children, and theirs, about
+RANK_BYTES = 2 * 8 * 4  # the flags and ranks of its children
 ITEM_BYTES = 5  # a triangle in a list, and its mask
 
 
@@ -39,8 +44,9 @@ class FieldPlan:
 
     triangles, flat, crossed, undecided: number of triangles, of those without area, of those that
     intersect others, and of those that may; closed: as of Survey. sign to measure: as requested.
-    refined: number of refined cells of each level counted so far; items: triangles in the lists of
-    the last counted level.
+    stored: whether voxels and levels wait on the disk; window: cells that are sampled and
+    examined at once. refined: number of refined cells of each
+    level counted so far; items: triangles in the lists of the last counted level.
     """
 
     triangles: int
@@ -57,6 +63,8 @@ class FieldPlan:
     crossed: int = 0
     undecided: int = 0
     closed: bool = False
+    stored: bool = False
+    window: int = WINDOW
     refined: tuple[int, ...] = ()
     items: int = 0
 
@@ -135,17 +143,44 @@ class FieldPlan:
     @property
     def cost(self) -> Cost:
         """The peak memory of the build, approximately an upper bound."""
-        return self._cost(self.predicted(), max(self.items, self.triangles))
+        return self._cost(self.predicted())
 
-    def _cost(self, counts: Sequence[int], items: int) -> Cost:
-        """Return the memory for these refined cells: twice the field, the arrays of two levels, or
-        of a window of the last level and of the two above it, and the lists of two levels, which
-        have about the same length."""
-        field, held = BLOCK_BYTES * sum(counts), list(counts[-2:])
-        if len(counts) == self.max_level:
-            held = [*counts[-3:-1], min(counts[-1], WINDOW)]
-        device = 2 * field + CELL_BYTES * sum(held) + 2 * ITEM_BYTES * items
-        return Cost(device, field, max(8 * 27 * max(held, default=0), 4 * items))
+    def fitting(self, max_memory: int, max_allocation: int) -> FieldPlan:
+        """Return the plan that is predicted to fit, as far as stores and smaller windows help."""
+        if not self.cost.shortage(max_memory, max_allocation):
+            return self
+        plan = replace(self, stored=True)
+        while plan.cost.shortage(max_memory, max_allocation) and plan.window > LEAST_WINDOW:
+            plan = replace(plan, window=plan.window // 2)
+        return plan
+
+    def _cost(self, counts: Sequence[int]) -> Cost:
+        """Return the memory for these refined cells: that of a window; its lists and those of its
+        children, and as long as they are not stored those of two levels, which have about the same
+        length; what two levels leave to their children; and twice the field, of which a store
+        takes the voxels."""
+        last = len(counts) == self.max_level
+        above = list(counts[:-1] if last else counts)[-2:]
+        most, items = max(counts, default=0), max(self.items, self.triangles)
+        window = most if self.max_bytes is not None else min(most, self.window)
+        blocks = sum(counts)
+        device = CELL_BYTES * window + RANK_BYTES * sum(above)
+        if self.stored:
+            items = int(items * min(1.0, self.window / max(*self.refined, 1)))
+            device += LEFT_BYTES * window + 2 * ITEM_BYTES * items + HASH_BYTES * blocks
+            host = (BLOCK_BYTES - VOXEL_BYTES) * blocks
+            return Cost(device, host, max(8 * 27 * window, 4 * items))
+        device += LEFT_BYTES * sum(above) + 2 * ITEM_BYTES * items + 2 * BLOCK_BYTES * blocks
+        return Cost(device, BLOCK_BYTES * blocks, max(8 * 27 * window, 4 * items))
+
+    @property
+    def disk(self) -> int:
+        """Bytes of the disk that voxels and levels are predicted to take while they wait."""
+        if not self.stored:
+            return 0
+        counts = self.predicted()
+        waiting = LEFT_BYTES * sum(counts[-3:-1]) + ITEM_BYTES * max(self.items, self.triangles)
+        return VOXEL_BYTES * sum(counts) + waiting
 
     def scene(self) -> dict[str, Any]:
         """Return the part that depends on the mesh, to be stored with the output: JSON types."""
@@ -163,7 +198,8 @@ class FieldPlan:
             **self.scene(),
             "refined_cells": list(self.refined),
             "predicted_blocks": self.blocks,
-            "predicted_field_bytes": self.cost.host,
+            "predicted_field_bytes": BLOCK_BYTES * self.blocks,
+            "predicted_disk_bytes": self.disk,
             "predicted_device_bytes": self.cost.device,
         }
 
@@ -172,16 +208,18 @@ class FieldPlan:
         counted = ", ".join(f"{count:,}" for count in self.refined)
         decided = f"tolerance {self.tolerance:.3g} sides, levels to {self.max_level}"
         cells = f"{counted} cells are refined, of level 0, 1, ..."
+        waits = f"about {human(self.disk)}, of voxels and levels that wait for their turn"
         return [
             ("field", f"{decided}, sign {self.sign}"),
             ("scene", f"{self.triangles:,} triangles; {cells}"),
-            ("blocks", f"at most about {self.blocks:,}, {human(self.cost.host)}"),
+            ("blocks", f"at most about {self.blocks:,}, {human(BLOCK_BYTES * self.blocks)}"),
+            *([("disk", waits)] if self.stored else []),
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, with the level that fits, if the levels counted so far need more
         bytes on the device in total, or in one buffer, or more texels than a texture may have."""
-        cost, level = self._cost(self.refined, self.items), len(self.refined) - 1
+        cost, level = self._cost(self.refined), len(self.refined) - 1
         fitting = cost.device <= max_memory and cost.largest <= max_allocation
         room, fits = (
             most_blocks(self.max_texture),

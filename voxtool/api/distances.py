@@ -25,6 +25,8 @@ from voxtool.choices import (
 from voxtool.distances import DistanceGridJob, DistanceJob
 from voxtool.files import read_adf
 from voxtool.files.mesh import as_mesh
+from voxtool.files.spool import Spool
+from voxtool.files.streams import STREAM
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device
@@ -82,7 +84,7 @@ def plan_adf(
         Texels that a 3-D texture may have along each axis, 256 to 3072. A field whose blocks would
         not fit is refused.
     device, max_memory
-        As in voxelize.
+        As in voxelize; voxels and levels that do not fit wait in a temporary file.
 
     Returns
     -------
@@ -112,7 +114,7 @@ def plan_adf(
     return adf.plan_adf(
         as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band, sign=sign,
         continuous=continuous, bounds=bounds, max_bytes=max_bytes, measure=measure,
-        max_texture=max_texture, device=device, max_memory=max_memory,
+        max_texture=max_texture, device=device, max_memory=max_memory, stores=lambda: Spool(STREAM),
     )  # fmt: skip
 
 

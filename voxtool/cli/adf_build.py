@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -52,13 +53,16 @@ if TYPE_CHECKING:
         True),
     option("--bounds/--no-bounds", bool, "Store a bound of each leaf's error, or not.", True,
         show_default=False),
+    option("--windows", ("auto", "never"),
+        "auto: if the field would take more than --max-memory, its blocks and levels wait on the "
+        "disk, with the same content; never: refuse.", "auto"),
     options.length_options(),
     options.normalize_option("stored"),
 )  # fmt: skip
 @runner.job_options("FILE", "Default MESH's name with .adf.h5, in this folder.", "adf.h5")
 def command(
     run: runner.Run, mesh: str, tolerance: float | None, tolerance_world: float | None,
-    units: str | None, scale: float, normalize: str | None, **request: Any,
+    windows: str, units: str | None, scale: float, normalize: str | None, **request: Any,
 ) -> None:  # fmt: skip
     """Build the adaptively sampled distance field of a triangle MESH.
 
@@ -79,6 +83,7 @@ def command(
     from voxtool.adf.build import plan_adf
     from voxtool.adf.survey import cube_of
     from voxtool.files import ADF_FORMATS, write_adf
+    from voxtool.files.spool import Spool
 
     run.to(mesh, options.output_of(mesh, "adf.h5"), ADF_FORMATS)
     with run:
@@ -86,7 +91,8 @@ def command(
         if tolerance_world is not None:
             tolerance = tolerance_world / cube_of(loaded)[1]
         request["tolerance"] = DEFAULT_TOLERANCE if tolerance is None else tolerance
-        job = run.plan(plan_adf, loaded, **request)
+        stores = None if windows == "never" else partial(Spool, str(run.output))
+        job = run.plan(plan_adf, loaded, stores=stores, **request)
         if run.only_plan and (uncertain := job.sign_finding()):
             options.warn(uncertain)
         field = run.job(job)

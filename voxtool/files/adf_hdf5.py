@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from voxtool.adf.field import DistanceField
-from voxtool.adf.packing import CHILDREN, VERTICES, pack_blocks, pack_cells, unpack
+from voxtool.adf.packing import CHILDREN, VERTICES, layers_of, pack_cells, unpack
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.choices import GIVEN, MAX_LEVEL, SIGNS
 from voxtool.files import hdf5
@@ -116,10 +116,10 @@ SCHEMA = replace(
     version="2.0",
     own=(*OWN, transform_since("2.1")),
     datasets=(
-        Dataset("voxels", "<f4", ("Z", "Y", "X"), pack=pack_blocks),
+        Dataset("voxels", "<f4", ("Z", "Y", "X"), pack=layers_of),
         replace(CELLS, pack=pack_cells),
         HASH,
-        replace(BOUNDS, shape=tuple(map(_bounds_side, "ZYX")), pack=pack_blocks),
+        replace(BOUNDS, shape=tuple(map(_bounds_side, "ZYX")), pack=layers_of),
     ),
     build=_unpack,
     older=(VERSION_1,),

@@ -46,14 +46,13 @@ def write(schema: Schema, content: Any, file: BinaryIO) -> None:
         for dataset in schema.datasets:
             array = dataset.encode(content, stored)
             if isinstance(array, Blocks):
-                _write_blocks(h5, dataset, array)
+                _write_blocks(h5, dataset.name, array)
             elif array is not None:
                 h5.create_dataset(dataset.name, data=array, track_times=False)
 
 
-def _write_blocks(h5: Any, dataset: Dataset, array: Blocks) -> None:
-    row = () if dataset.rows is None else (len(dataset.rows.names or ()),)
-    stored = h5.create_dataset(dataset.name, (array.size, *row), array.dtype, track_times=False)
+def _write_blocks(h5: Any, name: str, array: Blocks) -> None:
+    stored = h5.create_dataset(name, (array.size, *array.row), array.dtype, track_times=False)
     start = 0
     for block in array.blocks:
         stored[start : start + len(block)] = block

@@ -127,7 +127,7 @@ class Dataset:
         names the side from here on.
     at : path of the array in the content; by default the name.
     rows : structured dtype of a row in Python, where it has one.
-    pack : the stored array of the content's, where they differ; the schema's `build` undoes it.
+    pack : the stored array of the content's, or its Blocks, where they differ; the schema's `build` undoes it.
     needed : whether a file has it, from the sizes and from whether it is there.
     """
 
@@ -136,7 +136,7 @@ class Dataset:
     shape: tuple[Side, ...]
     at: str = ""
     rows: np.dtype | None = None
-    pack: Callable[[np.ndarray], np.ndarray] | None = None
+    pack: Callable[[np.ndarray], np.ndarray | Blocks] | None = None
     needed: Callable[[Sizes, bool], bool] = lambda sizes, there: True
 
     def type_for(self, sizes: Sizes) -> np.dtype:
@@ -159,7 +159,8 @@ class Dataset:
             array = self.pack(array)
         if isinstance(array, Blocks):
             blocks = (self._stored(block, sizes) for block in array.blocks)
-            return Blocks(array.size, self.type_for(sizes), blocks)
+            row = array.row if self.rows is None else (len(self.rows.names or ()),)
+            return Blocks(array.size, self.type_for(sizes), blocks, row)
         return self._stored(array, sizes)
 
     def _stored(self, array: np.ndarray, sizes: Sizes) -> np.ndarray:

@@ -55,6 +55,11 @@ class Spool:
         self._file.readinto(array.reshape(-1).view(np.uint8).data)
         return array
 
+    def mapped(self, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
+        """Return all arrays that were added as one, which is read from the disk where it is used,
+        also when the spool is closed."""
+        return np.memmap(self._file, dtype, "r", shape=shape)
+
     def clear(self) -> None:
         """Remove all arrays."""
         self._file.seek(0)
