@@ -14,7 +14,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Blocks:
-    """An array of `size` rows that is not in memory: blocks of rows come one after the other."""
+    """An array that is not in memory: its blocks come one after the other.
+
+    row : the shape of an item; () of a one-dimensional array.
+    """
 
     size: int
     dtype: np.dtype

@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, Self, TypeVar
 
-from voxtool.errors import MeshWarning, human
+from voxtool.errors import MemoryLimitError, MeshWarning, human
 from voxtool.memory import available_memory
 
 if TYPE_CHECKING:
@@ -143,6 +143,21 @@ class Job(ABC, Generic[Result]):
         if self.max_memory is not None:
             return self.max_memory
         return self.device.max_memory if self.device else available_memory()
+
+    @property
+    def shortage(self) -> str:
+        """The memory that the job lacks on its device, as messages say it; "" if it lacks none."""
+        largest = self.device.info.max_allocation if self.device else sys.maxsize
+        return self.cost.shortage(self.limit, largest)
+
+    @property
+    def fits(self) -> bool:
+        """True if the job takes no more memory than it may."""
+        try:
+            self.refuse()
+        except MemoryLimitError:
+            return False
+        return True
 
     def refuse(self) -> None:
         """Raise MemoryLimitError if the job would take more memory than it may."""

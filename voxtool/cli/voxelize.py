@@ -144,8 +144,7 @@ def command(
     attributes = attributes or []
     if colour and "colour" not in attributes:
         raise click.UsageError("--colour goes with --attributes colour")
-    check_attributes(attributes, {"--dag": dag, "--thin": thin, "--dask": bool(dask),
-                                        "--resume": resume})  # fmt: skip
+    check_attributes(attributes, {"--dag": dag, "--thin": thin, "--dask": bool(dask)})
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
     if labels and face_fractions:
@@ -207,7 +206,7 @@ def command(
             parts = run.stage("plan windows", spread, job, client, run.device_name, merged=dag)
         elif (
             windows != "never"
-            and not (thin or labels or attributes or mode == FRACTION)
+            and not (thin or labels or mode == FRACTION)
             and run.file_format == "svo.h5"
             and not fits(job, dag)
         ):
@@ -254,7 +253,7 @@ def check_fraction(fill: str, others: dict[str, Any]) -> None:
 def fits(job: VoxelizeJob, dag: bool) -> bool:
     """Return whether the octree, and merging it, fit in memory in one piece; slabs of a flood are
     more than one, and take longer than windows."""
-    if job.plan.slabs > 1:
+    if getattr(job.plan, "slabs", 1) > 1:
         return False
     if not dag:
         return job.fits
@@ -265,7 +264,7 @@ def fits(job: VoxelizeJob, dag: bool) -> bool:
 
 def windows_of(job: VoxelizeJob, dag: bool) -> WindowsJob | None:
     """Return the job in windows, with `dag` merged, or None if windows do not fit either."""
-    from voxtool.tiles.flooding import plan_windows
+    from voxtool.tiles.plan import plan_windows
 
     with suppress(MemoryLimitError):
         return plan_windows(job, merged=dag)

@@ -185,8 +185,8 @@ def _names(stored: np.ndarray) -> tuple[str, ...]:
 
 
 def _flat(octree: Octree) -> SimpleNamespace:
-    """An octree with its attributes under the names of their datasets."""
-    flat = SimpleNamespace(**{item.name: getattr(octree, item.name) for item in fields(octree)})
+    """An octree, which may come in blocks, with its attributes under the names of their datasets."""
+    flat = SimpleNamespace(**{item.name: getattr(octree, item.name) for item in fields(Octree)})
     flat.depth, flat.attributes = octree.depth, {one.name: one.head for one in octree.attributes}
     for name in KINDS:
         one = next((one for one in octree.attributes if one.name == name), None)
@@ -246,7 +246,7 @@ def write(octree: Octree | MergedOctree, file: BinaryIO) -> None:
     """Write an octree; a merged one as version 2, one with attributes as version 3."""
     if isinstance(octree, MergedOctree):
         hdf5.write(MERGED, octree, file)
-    elif isinstance(octree, Octree) and octree.attributes:
+    elif octree.attributes:
         hdf5.write(ATTRIBUTED, _flat(octree), file)
     else:
         hdf5.write(SCHEMA, octree, file)

@@ -1,8 +1,8 @@
 """The windows of an octree that are finished, in a folder beside the file that they become.
 
 `NAME.windows` holds `windows.jsonl`: a line that says of which request, then one for each finished
-window; and the files of each, the states of its nodes and blocks of its bricks as they are in
-memory. Processes of a cluster that see the folder write their windows into it. A killed run leaves
+window; and the files of each, the states of its nodes, blocks of its bricks, and the arrays of its
+attributes as they are in memory. Processes of a cluster that see the folder write their windows into it. A killed run leaves
 the folder, and the next one takes what is whole: a window counts if its files have the SHA-256 that
 its line says.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 from collections.abc import Iterator, Sequence
@@ -24,9 +25,13 @@ import numpy as np
 from voxtool import watch
 from voxtool.errors import FileError, human
 from voxtool.files.atomic import write_error
+from voxtool.morton import distinct
+from voxtool.svo.attributes import KINDS, Attribute
 from voxtool.svo.layout import BRICK
 
 BLOCK = 1 << 22  # bricks in a file
+VALUES = 1 << 20  # values of an attribute that are read at once
+PARTS = ("masks", "values", "leaves")  # of an attribute
 JOURNAL = "windows.jsonl"
 VERSION = 1
 Key = tuple[int, int, int, int]  # the window's low corner and its side, in voxels
@@ -35,20 +40,27 @@ Key = tuple[int, int, int, int]  # the window's low corner and its side, in voxe
 @dataclass(frozen=True)
 class Window:
     """The content of a window: the states of its nodes by level, from the root down, its bricks,
-    and the number of its voxels."""
+    the number of its voxels, and their attributes."""
 
     levels: Sequence[np.ndarray]
     bricks: np.ndarray
     voxels: int
     sha256: str  # of the files that it is stored in
+    attributes: Sequence[Attribute] = ()
 
     @classmethod
-    def of(cls, levels: Sequence[np.ndarray], bricks: np.ndarray, voxels: int) -> Self:
+    def of(
+        cls,
+        levels: Sequence[np.ndarray],
+        bricks: np.ndarray,
+        voxels: int,
+        attributes: Sequence[Attribute] = (),
+    ) -> Self:
         """Return a window with its SHA-256."""
         sha = hashlib.sha256()
-        for array in (*levels, bricks):
-            sha.update(array.data)
-        return cls(levels, bricks, voxels, sha.hexdigest())
+        for array in (*levels, bricks, *(part for one in attributes for part in one.arrays)):
+            sha.update(np.ascontiguousarray(array).data)
+        return cls(levels, bricks, voxels, sha.hexdigest(), attributes)
 
 
 class Windows:
@@ -136,7 +148,7 @@ class Windows:
         for line in lines[1:]:
             with suppress(OSError, KeyError, TypeError, ValueError):
                 x, y, z, side = map(int, line["window"])
-                if self._digest((x, y, z, side), line["files"]) == line["sha256"]:
+                if self._digest((x, y, z, side), line) == line["sha256"]:
                     self._lines[x, y, z, side] = line
 
     def put(self, key: Key, window: Window) -> None:
@@ -179,6 +191,29 @@ class Windows:
         for path in _paths(self.folder, key, self._lines[key]["files"])[1:]:
             yield np.fromfile(path, BRICK)
 
+    def attribute(self, key: Key, name: str) -> dict[str, Any]:
+        """Return of an attribute of a window whether it is masked, the number of values in bricks
+        and of leaves, their dtype and, of labels, those that voxels have."""
+        return self._lines[key]["attributes"][name]
+
+    def array(self, key: Key, name: str, part: str) -> Iterator[np.ndarray]:
+        """Yield an array of an attribute of a window, one of PARTS, in blocks; the bricks as masks
+        if it has none."""
+        about = self.attribute(key, name)
+        if part == "masks" and not about["masked"]:
+            yield from self.bricks(key)
+            return
+        channels = 0 if part == "masks" else KINDS[name].channels
+        dtype = BRICK if part == "masks" else np.dtype(about["dtype"])
+        row = (channels,) if channels else ()
+        with open(_attribute_path(self.folder, key, name, part), "rb") as file:
+            while len(block := np.fromfile(file, dtype, VALUES * math.prod(row))):
+                yield block.reshape(-1, *row)
+
+    def drop(self, key: Key, name: str, part: str) -> None:
+        """Remove an array of an attribute of a window from the disk."""
+        _attribute_path(self.folder, key, name, part).unlink()
+
     def take(self, key: Key) -> Iterator[np.ndarray]:
         """Yield the same; each block is then removed from the disk."""
         for path, block in zip(
@@ -201,10 +236,15 @@ class Windows:
             file.flush()
             os.fsync(file.fileno())
 
-    def _digest(self, key: Key, count: int) -> str:
+    def _digest(self, key: Key, line: dict[str, Any]) -> str:
         """Return the SHA-256 of the files of a window."""
         sha = hashlib.sha256()
-        for path in _paths(self.folder, key, count):
+        attributes = (
+            _attribute_path(self.folder, key, name, part)
+            for name, about in line.get("attributes", {}).items()
+            for part in PARTS[not about["masked"] :]
+        )
+        for path in (*_paths(self.folder, key, line["files"]), *attributes):
             sha.update(path.read_bytes())
         return sha.hexdigest()
 
@@ -234,15 +274,33 @@ def _written(folder: Path, key: Key, window: Window) -> dict[str, Any]:
         with open(path, "wb") as file:
             for array in arrays:
                 file.write(array.data)
+    attributes = {}
+    for one in window.attributes:
+        for part, array in zip(PARTS[one.masks is None :], one.arrays, strict=True):
+            array.tofile(_attribute_path(folder, key, one.name, part))
+        attributes[one.name] = {
+            "masked": one.masks is not None,
+            "values": len(one.values),
+            "leaves": len(one.leaves),
+            "dtype": one.values.dtype.str,
+        }
+        if one.names:
+            attributes[one.name]["labels"] = distinct(np.concatenate(one.arrays[-2:])).tolist()
     sizes = {"levels": [array.nbytes for array in window.levels]}
     counts = {"bricks": len(window.bricks), "voxels": window.voxels, "files": len(files)}
-    return {"window": key, **sizes, **counts, "sha256": window.sha256}
+    described = {**sizes, **counts, "attributes": attributes}
+    return {"window": key, **described, "sha256": window.sha256}
 
 
 def _paths(folder: Path, key: Key, count: int) -> list[Path]:
     """Return the files of a window: the states, then blocks of bricks."""
     name = "-".join(map(str, key))
     return [folder / f"{name}.{number}" for number in range(count)]
+
+
+def _attribute_path(folder: Path, key: Key, name: str, part: str) -> Path:
+    """Return the file of an array of an attribute of a window."""
+    return folder / f"{'-'.join(map(str, key))}.{name}.{part}"
 
 
 def _split(bricks: np.ndarray) -> list[np.ndarray]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,6 +18,7 @@ import numpy as np
 
 from voxtool.arrays import Data
 from voxtool.errors import FileError, VoxtoolError
+from voxtool.svo.exact_sums import exact_sum
 from voxtool.svo.layout import BRICK, BRICK_SIDE
 
 BITS = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
@@ -113,11 +115,16 @@ class Attribute(Data):
         return self.values.nbytes + self.leaves.nbytes + masks
 
     @property
+    def masked(self) -> bool:
+        """Whether masks say which voxels have values."""
+        return self.masks is not None
+
+    @property
     def head(self) -> dict[str, Any]:
         """What a file holds beside the arrays and the names, in JSON types."""
         return {
-            "dtype": self.values.dtype.str.lstrip("<|"),
-            "masked": self.masks is not None,
+            "dtype": self.leaves.dtype.str.lstrip("<|"),
+            "masked": self.masked,
             "default": np.asarray(self.default).tolist(),
         }
 
@@ -131,10 +138,15 @@ class Attribute(Data):
         """The arrays, in the order of digests and files."""
         return [*([] if self.masks is None else [self.masks]), self.values, self.leaves]
 
+    @property
+    def total(self) -> Fraction:
+        """The exact sum of the values of voxels, which are single numbers."""
+        return exact_sum(self.values)
+
     def summary(self) -> dict[str, Any]:
         """Return the type, sizes and names in JSON types; of areas also their sum."""
         sizes = {"values": len(self.values), "leaves": len(self.leaves), "bytes": self.nbytes}
-        more = {"sum": float(self.values.sum(dtype=np.float64))} if self.name == "area" else {}
+        more = {"sum": float(self.total)} if self.name == "area" else {}
         return {**self.described, **sizes, **more}
 
     @property

@@ -219,16 +219,6 @@ class VoxelizeJob(Job[Octree]):
         return not self.plan.solid and self._faces is None
 
     @property
-    def fits(self) -> bool:
-        """True if the job takes no more memory than it may."""
-        return self.plan.fits(self.limit, self.device.info.max_allocation)
-
-    @property
-    def shortage(self) -> str:
-        """The memory that the job lacks, as messages say it; "" if it lacks none."""
-        return self.plan.cost.shortage(self.limit, self.device.info.max_allocation)
-
-    @property
     def _flooded(self) -> Window:
         """The part of the grid that is flooded."""
         return (0, 0, 0), self._whole.shape

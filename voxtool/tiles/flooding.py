@@ -18,12 +18,19 @@ from voxtool.svo.fill.flood import window_frame
 from voxtool.svo.fill.outside import Outside
 from voxtool.svo.fill.pieces import Shared, cubes_of
 from voxtool.svo.flood_window import FloodWindowJob
-from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, NODE_BYTES
+from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.plan import CELL, flood_block, flood_steps
 from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.merging import MergingJob
-from voxtool.tiles.windows import Content, Part, WindowsJob, WindowsPlan, shape_of
+from voxtool.tiles.windows import (
+    Content,
+    Part,
+    WindowsJob,
+    WindowsPlan,
+    shape_of,
+    stored_bytes,
+)
 
 OUTSIDE = "outside of window"  # as progress says it
 ROOT = np.zeros(1, np.uint32)  # of a cube that is one piece
@@ -43,13 +50,14 @@ class FloodPlan(WindowsPlan):
         for part in self.root.windows():
             if part.plan:
                 near = 12 * BRICK_SIDE / part.key[3]  # share of the bricks beside the six faces
-                pieces += 2 * near * part.plan.bricks + PIECES_OF_SEED * part.plan.seeds
+                plan = getattr(part.plan, "octree", part.plan)  # without attributes
+                pieces += 2 * near * plan.bricks + PIECES_OF_SEED * plan.seeds
         return replace(cost, host=max(self.whole.cost.host, cost.host) + round(RECORD * pieces))
 
     @property
     def disk(self) -> int:
         """Predicted bytes of the file, and at most of the windows that wait for it."""
-        return NODE_BYTES * self.whole.nodes + BRICK_BYTES * self.whole.bricks
+        return stored_bytes(self.whole)
 
 
 class Flooding(WindowsJob):
@@ -141,16 +149,8 @@ class FloodWindowsJob(Flooding):
     """A flood whose windows wait on disk until the octree is written."""
 
     def _plan(self) -> FloodPlan:
-        return FloodPlan(self.whole.plan, self._divide(self.root, self.all_faces))
+        return FloodPlan(self._whole_plan, self._divide(self.root, self.all_faces))
 
 
 class FloodMergingJob(Flooding, MergingJob):
     """A flood each window of which is merged at once."""
-
-
-def plan_windows(whole: VoxelizeJob, *, merged: bool = False) -> WindowsJob:
-    """Return the job of a voxelization in windows, with `merged` one that merges subtrees. Raises
-    MemoryLimitError if the smallest windows do not fit."""
-    if whole.plan.fill == "flood":
-        return FloodMergingJob(whole) if merged else FloodWindowsJob(whole)
-    return MergingJob(whole) if merged else WindowsJob(whole)

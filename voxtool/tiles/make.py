@@ -21,7 +21,7 @@ from voxtool.svo.content import OctreeContent
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tiles.combining import CombineWindowsJob
-from voxtool.tiles.flooding import plan_windows
+from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.operations import OperationJob

@@ -194,7 +194,7 @@ class SpreadJob(WindowsJob):
 
         def send(faces: np.ndarray) -> Any:
             nonlocal whole
-            if self._ranges is not None:
+            if self.whole.plan.fill != "winding":
                 return self._mesh_of(faces)
             if whole is None or whole.cancelled():  # it is lost with a scheduler
                 whole = self.client.scatter(self.mesh)

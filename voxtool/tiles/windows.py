@@ -24,13 +24,14 @@ from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
+from voxtool.svo.attributes import Attribute
 from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
 from voxtool.svo.links import EMPTY
 from voxtool.svo.octree import Octree
-from voxtool.svo.plan import NODE_BLOCK, VoxelizePlan
+from voxtool.svo.plan import NODE_BLOCK
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
-from voxtool.tiles.octree import BlockOctree
-from voxtool.tiles.subtree import Subtree, joined, leaf_subtree, subtree_of
+from voxtool.tiles.octree import BlockAttribute, BlockOctree
+from voxtool.tiles.subtree import Subtree, joined, labels_by_level, leaf_subtree, subtree_of
 
 LEAST = NODE_BLOCK  # voxels along a side of a window
 MARGIN = 8  # voxels around a window whose faces may reach into its nodes
@@ -44,7 +45,7 @@ class Part:
 
     key: Key
     window: bool = False
-    plan: VoxelizePlan | None = None  # None if the window is planned where it is made
+    plan: Any = None  # of the job that makes it; None if the window is planned where it is made
     parts: tuple[Part, ...] = ()
 
     def windows(self) -> Iterator[Part]:
@@ -59,7 +60,7 @@ class Part:
 class WindowsPlan:
     """The windows of a voxelization."""
 
-    whole: VoxelizePlan
+    whole: Any  # the plan of the job in one piece
     root: Part
 
     @property
@@ -68,7 +69,7 @@ class WindowsPlan:
         return sum(1 for _ in self.root.windows())
 
     @functools.cached_property
-    def plans(self) -> list[VoxelizePlan]:
+    def plans(self) -> list[Any]:
         """The plans of the windows."""
         return [part.plan for part in self.root.windows() if part.plan]
 
@@ -96,7 +97,7 @@ class WindowsPlan:
     @property
     def disk(self) -> int:
         """Predicted bytes of the file, and at most of the windows that wait for it."""
-        return sum(NODE_BYTES * plan.nodes + BRICK_BYTES * plan.bricks for plan in self.plans)
+        return sum(stored_bytes(plan) for plan in self.plans)
 
     def as_dict(self) -> dict[str, Any]:
         """All of the plan in JSON types."""
@@ -143,14 +144,18 @@ class WindowsJob(Job[BlockOctree]):
         self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
         self.grid, self.mesh = whole.grid, whole.mesh
         del whole.lattice  # frees the memory of the whole mesh on the device
-        self._ranges = None if whole.plan.fill == "winding" else self._voxels_of_faces()
         self.all_faces = np.arange(len(self.mesh.faces))
         self.root = (0, 0, 0, self.grid.side)
         self.plan = self._plan()
 
     def _plan(self) -> WindowsPlan:
         """Return the plan, whose windows all fit."""
-        return WindowsPlan(self.whole.plan, self._divide(self.root, self.all_faces))
+        return WindowsPlan(self._whole_plan, self._divide(self.root, self.all_faces))
+
+    @property
+    def _whole_plan(self) -> Any:
+        """The plan of the job in one piece."""
+        return self.whole.plan
 
     @property
     def request(self) -> dict[str, Any]:
@@ -161,7 +166,8 @@ class WindowsJob(Job[BlockOctree]):
 
     # ---- the windows
 
-    def _voxels_of_faces(self) -> tuple[np.ndarray, np.ndarray]:
+    @functools.cached_property
+    def _ranges(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (F, 3) least and greatest voxels of each face."""
         voxels = self.grid.to_fixed(self.mesh.vertices) >> FIXED_POINT_BITS
         corners = voxels[self.mesh.faces]
@@ -169,15 +175,14 @@ class WindowsJob(Job[BlockOctree]):
 
     def _faces_of(self, key: Key, faces: np.ndarray) -> np.ndarray:
         """Return those of some faces that can change a window: for a solid also those before it
-        along x, as their crossings decide where its rows begin."""
-        if self._ranges is None:
+        along x, as their crossings decide where its rows begin, and of a winding number all."""
+        if self.whole.plan.fill == "winding":
             return faces
         return self._faces_near(key, faces, MARGIN, rows=self.whole.plan.solid)
 
     def _faces_near(self, key: Key, faces: np.ndarray, margin: int, *, rows: bool) -> np.ndarray:
         """Return those of some faces whose boxes reach a cube with a margin; with `rows` also those
         before it along x."""
-        assert self._ranges is not None
         low, high = (ends[faces] for ends in self._ranges)
         corner, side = np.array(key[:3]), key[3]
         reached = high >= corner - margin
@@ -187,13 +192,7 @@ class WindowsJob(Job[BlockOctree]):
 
     def _mesh_of(self, faces: np.ndarray) -> Mesh:
         """Return the mesh of some faces."""
-        mesh = self.mesh
-        if len(faces) == len(mesh.faces):
-            return mesh
-        used = np.zeros(len(mesh.vertices), bool)
-        used[mesh.faces[faces]] = True
-        index = np.cumsum(used, dtype=np.int32) - 1
-        return replace(mesh, vertices=mesh.vertices[used], faces=index[mesh.faces[faces]])
+        return mesh_of(self.mesh, faces)
 
     @property
     def _options(self) -> dict[str, Any]:
@@ -210,7 +209,11 @@ class WindowsJob(Job[BlockOctree]):
         mesh = self._mesh_of(faces)
         return plan_voxelize(mesh, self.grid, window=window, device=self.device, **self._options)
 
-    def _shortage(self, job: VoxelizeJob) -> str:
+    def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> Job[Octree]:
+        """Return the job that makes a window, of that of its octree without attributes."""
+        return job
+
+    def _shortage(self, job: Any) -> str:
         """Return the memory that a window lacks, as messages say it; "" if it lacks none."""
         return job.shortage
 
@@ -224,9 +227,10 @@ class WindowsJob(Job[BlockOctree]):
         job = self._job(key, faces)
         if job.plan.survey.triangles == job.plan.survey.outside and not job.plan.entry:
             return Part(key)
-        shortage = self._shortage(job)
+        made = self._complete(job, key, faces)
+        shortage = self._shortage(made)
         if not shortage:
-            return Part(key, window=True, plan=job.plan)
+            return Part(key, window=True, plan=made.plan)
         refuse_smallest(key, shortage, self.least)
         return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
 
@@ -239,11 +243,28 @@ class WindowsJob(Job[BlockOctree]):
         self._make(self._missing(root, self.all_faces))
         self._used: list[Key] = []
         tree = self._made(root)
-        mesh, plan = self.mesh, self.whole.plan
+        mesh = self.mesh
         origin = (mesh.source_sha256, mesh.units, mesh.transform)
         count = sum(map(self.store.voxels, self._used))
-        result = (self.grid, plan.mode, plan.rule, tree, count, self._bricks)
-        return BlockOctree(*result, plan.scene(), *origin)
+        self._attributes = tuple(
+            BlockAttribute(one, leaves_of(one, tree), tree.bricks, self.store, self._used)
+            for one in self._kinds()
+        )
+        result = (self.grid, *self._rule, tree, count, self._bricks)
+        return BlockOctree(*result, self._scene(), *origin, self._attributes)
+
+    @property
+    def _rule(self) -> tuple[str, str]:
+        """The mode and the fill rule of the octree."""
+        return self.whole.plan.mode, self.whole.plan.rule
+
+    def _scene(self) -> dict[str, Any]:
+        """Return the plan that is stored with the octree, in JSON types."""
+        return self.whole.plan.scene()
+
+    def _kinds(self) -> Sequence[Attribute]:
+        """Return the attributes of the octree, without values."""
+        return ()
 
     def _prepare(self) -> None:
         """Do what comes before all windows."""
@@ -264,7 +285,11 @@ class WindowsJob(Job[BlockOctree]):
         for key, faces in missing:
             self._report()
             with self.device.reporting(lambda _: None):  # not the stages within
-                self.store.put(key, Window.of(*self._content(key, faces)))
+                self.store.put(key, self._finished(key, faces))
+
+    def _finished(self, key: Key, faces: np.ndarray) -> Window:
+        """Return a window, made."""
+        return Window.of(*self._content(key, faces))
 
     def _content(self, key: Key, faces: np.ndarray) -> Content:
         """Return the states of the nodes of a window by level, from the root down, its bricks, and
@@ -282,12 +307,20 @@ class WindowsJob(Job[BlockOctree]):
         if not part.window:
             return leaf_subtree(part.key[3], self._leaf(part.key))
         self._used.append(part.key)
-        return Subtree(*self.store.get(part.key))
+        levels, bricks = self.store.get(part.key)
+        labels = ()
+        if any(one.name == "label" for one in self._kinds()):
+            none = np.empty(0, self.store.attribute(part.key, "label")["dtype"])
+            stored = self.store.array(part.key, "label", "leaves")
+            labels = labels_by_level(levels, np.concatenate([none, *stored]))
+        return Subtree(levels, bricks, labels)
 
     def _bricks(self) -> Iterator[np.ndarray]:
-        """Yield the bricks of all windows, which are then removed from the disk."""
+        """Yield the bricks of all windows, which are then removed from the disk if they do not
+        stand for masks, too."""
+        masked = any(one.masked for one in self._attributes)
         for key in self._used:
-            yield from self.store.take(key)
+            yield from self.store.bricks(key) if masked else self.store.take(key)
 
     def notes(self, octree: BlockOctree) -> list[str]:
         """Return lines about the fill rule; they are not warnings."""
@@ -310,10 +343,48 @@ def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
     return x, y, z
 
 
+def mesh_of(mesh: Mesh, faces: np.ndarray) -> Mesh:
+    """Return the mesh of some faces, with their appearance."""
+    if len(faces) == len(mesh.faces):
+        return mesh
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces[faces]] = True
+    index = np.cumsum(used, dtype=np.int32) - 1
+    look = mesh.appearance
+    if look is not None:
+        uv, colours = look.uv, look.colours
+        look = replace(
+            look,
+            material=look.material[faces],
+            uv=None if uv is None else uv[faces],
+            colours=None if colours is None else colours[used],
+        )
+    arrays = {"vertices": mesh.vertices[used], "faces": index[mesh.faces[faces]]}
+    return replace(mesh, **arrays, parts={}, appearance=look)
+
+
+def leaves_of(attribute: Attribute, tree: Subtree) -> np.ndarray:
+    """Return the values of inside leaves of a tree: only labels have some."""
+    own = tree.labels if attribute.name == "label" else ()
+    return np.concatenate([attribute.leaves, *own])
+
+
+def stored_bytes(plan: Any) -> int:
+    """Return the predicted bytes of the octree of a plan in a file, with its attributes."""
+    values = getattr(plan, "stored_values", 0)
+    return NODE_BYTES * plan.nodes + BRICK_BYTES * plan.bricks + values
+
+
 def content_of(job: VoxelizeJob, side: int) -> Content:
     """Return the content of the window of `side` voxels that a job makes."""
     octree = job._run()
     return subtree_of(octree, side).levels, octree.bricks, octree.count
+
+
+def attributed(octree: Octree, side: int) -> Window:
+    """Return an octree with attributes as the window of `side` voxels."""
+    levels = subtree_of(octree, side).levels
+    return Window.of(levels, octree.bricks, octree.count, octree.attributes)
 
 
 def refuse_smallest(key: Key, shortage: str, least: int = LEAST) -> None:

@@ -34,7 +34,14 @@ from voxtool.svo.attribution.look import (
     look_bytes,
     texels_of,
 )
-from voxtool.svo.attribution.surface_pass import SOURCE, VALUES, Pass, SurfaceValues
+from voxtool.svo.attribution.surface_pass import (
+    SOURCE,
+    VALUES,
+    Pass,
+    SurfaceValues,
+    without_values,
+)
+from voxtool.svo.layout import BRICK_BYTES
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.scan import SOURCE as SCAN
@@ -67,6 +74,23 @@ class AttributePlan:
     def values(self) -> int:
         """Predicted voxels of the surface."""
         return round(sum(self.surface.survey.areas)) + self.surface.survey.triangles
+
+    @property
+    def nodes(self) -> int:
+        """Predicted number of nodes."""
+        return self.octree.nodes
+
+    @property
+    def bricks(self) -> int:
+        """Predicted number of bricks."""
+        return self.octree.bricks
+
+    @property
+    def stored_values(self) -> int:
+        """Predicted bytes of the attributes in a file, with their masks."""
+        each = sum(without_values(name).blank.nbytes for name in self.names)
+        masks = BRICK_BYTES * self.bricks * len(self.names)
+        return getattr(self.octree, "stored_values", 0) + each * self.values + masks
 
     @property
     def cost(self) -> Cost:
@@ -205,13 +229,9 @@ class SurfaceAttributesJob(Job[Octree]):
     def _surface(self, device: Device | None) -> VoxelizeJob:
         """Return the job of the surface on the grid of the octree."""
         inner: Any = self.inner
-        more: dict[str, Any] = {"device": device or inner.device}
-        grid = inner.grid  # of parts, which are not of a window
-        if isinstance(inner, VoxelizeJob):
-            grid, more["window"] = inner.whole, inner.window
-        return plan_voxelize(
-            self.mesh, grid, "surface26", every_face=True, max_memory=self.max_memory, **more
-        )
+        more = {"device": device or inner.device, "max_memory": self.max_memory}
+        place = {"grid": inner.whole, "window": inner.window}
+        return plan_voxelize(self.mesh, mode="surface26", every_face=True, **place, **more)
 
     def with_(self, **decisions: Any) -> SurfaceAttributesJob:
         """Return the job with decisions of its plan, or of those inside it, forced."""
@@ -227,8 +247,8 @@ class SurfaceAttributesJob(Job[Octree]):
         return job
 
     def _run(self) -> Octree:
-        found: list[SurfaceValues] = []
         if self.plan.shared:
+            found: list[SurfaceValues] = []
 
             def keep(scan: Scan, active: ActiveNodes, bricks: Array) -> None:
                 found.append(self._values(scan, active, bricks))
@@ -236,18 +256,26 @@ class SurfaceAttributesJob(Job[Octree]):
             inner = copy.copy(self.surface)
             inner.surface_found = keep
             octree = inner._run()
+            (surface,) = found
         else:
-            octree = self.inner._run()
-            scan = Scan(self.surface.lattice, self.surface.plan)
-            self.device.prepare((SCAN, scan.options))
-            with self.stage("surface"):
-                active = find_active_nodes(scan)
-                bricks = scan.surface(active)
-            found.append(self._values(scan, active, bricks))
-        (surface,) = found
-        plan = {**octree.plan, **self.plan.described(), "stages": self.plan.stages}
-        more = surface.attributes(octree)
+            octree, surface = self.inner._run(), self.surface_values()
+        plan = self.scene(octree.plan)
+        more = surface.attributes(octree.levels()[-1].codes, octree.bricks)
         return replace(octree, attributes=(*octree.attributes, *more), plan=plan)
+
+    def surface_values(self) -> SurfaceValues:
+        """Return the values of the surface's voxels, by a pass of its own."""
+        scan = Scan(self.surface.lattice, self.surface.plan)
+        self.device.prepare((SCAN, scan.options))
+        with self.stage("surface"):
+            active = find_active_nodes(scan)
+            bricks = scan.surface(active)
+        return self._values(scan, active, bricks)
+
+    def scene(self, inner: dict[str, Any]) -> dict[str, Any]:
+        """Return the plan that is stored with the octree, in JSON types, of that which is stored
+        without attributes."""
+        return {**inner, **self.plan.described(), "stages": self.plan.stages}
 
     def findings(self, result: Octree) -> Iterable[str]:
         """Warnings about the octree."""

@@ -34,7 +34,7 @@ from voxtool.svo.attribution.parts import PartMesh, parts_of, ranks_of
 from voxtool.svo.layout import BRICK_VOXELS
 from voxtool.svo.octree import Octree
 from voxtool.svo.scan import SEPARATING, TOUCHED, Scan, add_nodes
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
 
 UNITE, AREAS = "unite parts", "areas"
 SHARED_BYTES = 64  # of the union on device and host, a brick, beside its values
@@ -226,6 +226,13 @@ class PartLabelsJob(Job[Octree]):
     plan: PartLabelsPlan
     device: Device
     max_memory: int | None = None
+    window: Window | None = None  # of the whole grid, if `grid` is one
+    whole_grid: Grid | None = None
+
+    @property
+    def whole(self) -> Grid:
+        """The grid without the window."""
+        return self.whole_grid or self.grid
 
     def _run(self) -> Octree:
         octrees = self._voxelized()
@@ -281,7 +288,8 @@ class PartLabelsJob(Job[Octree]):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the area, the voxel's rank and the face of each piece of a triangle in voxels."""
         source = Mesh(self.own.points, self.own.faces, name=self.mesh.name)
-        job = plan_voxelize(source, self.grid, self._kind_mode, device=self.device)
+        place: dict[str, Any] = {"window": self.window, "device": self.device}
+        job = plan_voxelize(source, self.whole, self._kind_mode, every_face=True, **place)
         scan = Scan(job.lattice, job.plan)
         active = add_nodes(scan, union.codes)
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.uint32)

@@ -14,7 +14,6 @@ import numpy as np
 from voxtool.opencl import Array, program
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.layout import BRICK
-from voxtool.svo.octree import Octree
 from voxtool.svo.scan import ActiveNodes, Scan
 
 SOURCE = "svo/attribution/colours.cl"
@@ -23,6 +22,7 @@ UNIT = 1 << 32  # of an area: that of a voxel's largest face
 HEADERS = {"svo/attribution/colours.h": program.c_constants(OPPOSED=OPPOSED, UNIT=UNIT)}
 NO_FACE = np.uint32(0xFFFFFFFF)
 INSIDE_COLOUR = (128, 128, 128, 255)  # of set voxels that the surface does not meet
+DEFAULTS = {"colour": INSIDE_COLOUR, "normal": (0, 0, 0), "area": 0}
 VALUES = {"colour": ((4,), np.uint8), "normal": ((3,), np.float32), "area": ((), np.float32)}
 TARGETS = ("areas", "colour_sums", "normal_sums", "greatest", "faces_of")  # of a pass
 
@@ -94,6 +94,13 @@ class Pass:
         )  # fmt: skip
 
 
+def without_values(name: str) -> Attribute:
+    """Return an attribute of surfaces that has no values yet."""
+    row, dtype = VALUES[name]
+    none = np.empty((0, *row), dtype)
+    return Attribute(name, none, none, default=DEFAULTS[name])
+
+
 def _face_areas(scan: Scan) -> tuple[float, float, float]:
     """Return the areas of a voxel's faces across x, y and z, in world units."""
     x, y, z = scan.mesh.grid.pitch
@@ -115,30 +122,29 @@ class SurfaceValues:
     masks: np.ndarray  # (8 N,) uint64: voxels of their bricks
     values: dict[str, np.ndarray]
 
-    def attributes(self, octree: Octree) -> list[Attribute]:
-        """Return the attributes of the octree's set voxels that the surface meets."""
-        codes = octree.levels()[-1].codes
+    def attributes(self, codes: np.ndarray, bricks: np.ndarray) -> list[Attribute]:
+        """Return the attributes of the set voxels that the surface meets, of an octree with these
+        bricks, which have these codes."""
         own = (self.codes[:, None] * 8 + np.arange(8, dtype=np.uint64)).ravel()
-        if np.array_equal(codes, own) and np.array_equal(octree.bricks, self.masks):
+        if np.array_equal(codes, own) and np.array_equal(bricks, self.masks):
             held, chosen = None, slice(None)
         else:
-            held, chosen = self._common(octree, codes, own)
-        defaults = {"colour": INSIDE_COLOUR, "normal": (0, 0, 0), "area": 0}
+            held, chosen = self._common(codes, bricks, own)
         return [
-            Attribute(name, values[chosen], values[:0], held, defaults[name])
+            Attribute(name, values[chosen], values[:0], held, DEFAULTS[name])
             for name, values in self.values.items()
         ]
 
     def _common(
-        self, octree: Octree, codes: np.ndarray, own: np.ndarray
+        self, codes: np.ndarray, bricks: np.ndarray, own: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the voxels of the octree's bricks that are the surface's, too, and which of its
-        values these have."""
+        """Return the voxels of some bricks that are the surface's, too, and which of its values
+        these have."""
         held, kept = np.zeros(len(codes), BRICK), np.zeros(len(own), BRICK)
         if len(own):
             place = np.minimum(np.searchsorted(own, codes), len(own) - 1)
             both = own[place] == codes
-            held[both] = octree.bricks[both] & self.masks[place[both]]
+            held[both] = bricks[both] & self.masks[place[both]]
             kept[place[both]] = held[both]
         set_ = (self.masks[:, None] & BITS) != 0
         return held, ((kept[:, None] & BITS) != 0)[set_]

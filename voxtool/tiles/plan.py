@@ -1,0 +1,22 @@
+"""Which job makes an octree in windows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from voxtool.svo.attribution.colours import SurfaceAttributesJob
+from voxtool.tiles.attributed import AttributeWindowsJob, FloodAttributeWindowsJob
+from voxtool.tiles.flooding import FloodMergingJob, FloodWindowsJob
+from voxtool.tiles.merging import MergingJob
+from voxtool.tiles.windows import WindowsJob
+
+
+def plan_windows(whole: Any, *, merged: bool = False) -> WindowsJob:
+    """Return the job in windows of a voxelization, which may have attributes; with `merged` one
+    that merges subtrees. Raises MemoryLimitError if the smallest windows do not fit."""
+    if isinstance(whole, SurfaceAttributesJob):
+        flooded = getattr(whole.inner.plan, "fill", "") == "flood"
+        return FloodAttributeWindowsJob(whole) if flooded else AttributeWindowsJob(whole)
+    if whole.plan.fill == "flood":
+        return FloodMergingJob(whole) if merged else FloodWindowsJob(whole)
+    return MergingJob(whole) if merged else WindowsJob(whole)
