@@ -151,9 +151,8 @@ def command(
         raise click.UsageError("--face-fractions are of a solid without --labels: drop one")
     if priority and not labels:
         raise click.UsageError("--priority goes with --labels: give both")
-    if labels and (dag or thin or resume or dask):
-        raise click.UsageError("--labels takes a mesh in one piece: drop --dag, --thin, --resume "
-                               "and --dask")  # fmt: skip
+    if labels and (dag or thin or dask):
+        raise click.UsageError("--labels takes a mesh in one piece: drop --dag, --thin and --dask")
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.attribution.colours import plan_attributes
     from voxtool.svo.attribution.fraction import plan_fractions
@@ -206,7 +205,7 @@ def command(
             parts = run.stage("plan windows", spread, job, client, run.device_name, merged=dag)
         elif (
             windows != "never"
-            and not (thin or labels or mode == FRACTION)
+            and not (thin or mode == FRACTION)
             and run.file_format == "svo.h5"
             and not fits(job, dag)
         ):

@@ -23,6 +23,7 @@ from voxtool.svo.attribution.surface_pass import without_values
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.flooding import FloodWindowsJob, filled
+from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.subtree import codes_of
 from voxtool.tiles.windows import MARGIN, WindowsJob, attributed, mesh_of
 
@@ -78,6 +79,10 @@ class FloodAttributeWindowsJob(AttributeWindowsJob, FloodWindowsJob):
         made: Any = self._complete(job, key, faces)
         found = made.surface_values().attributes(codes_of(levels), bricks)
         return Window.of(levels, bricks, voxels, found)
+
+
+class LabelAttributeWindowsJob(AttributeWindowsJob, LabelWindowsJob):
+    """A voxelization with labels and attributes of the surface that runs window by window."""
 
 
 def _digest_of(look: Appearance) -> str:

@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
-from voxtool.tiles.attributed import AttributeWindowsJob, FloodAttributeWindowsJob
+from voxtool.svo.attribution.labels import PartLabelsJob
+from voxtool.tiles.attributed import (
+    AttributeWindowsJob,
+    FloodAttributeWindowsJob,
+    LabelAttributeWindowsJob,
+)
 from voxtool.tiles.flooding import FloodMergingJob, FloodWindowsJob
+from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.merging import MergingJob
 from voxtool.tiles.windows import WindowsJob
 
@@ -15,8 +21,12 @@ def plan_windows(whole: Any, *, merged: bool = False) -> WindowsJob:
     """Return the job in windows of a voxelization, which may have attributes; with `merged` one
     that merges subtrees. Raises MemoryLimitError if the smallest windows do not fit."""
     if isinstance(whole, SurfaceAttributesJob):
-        flooded = getattr(whole.inner.plan, "fill", "") == "flood"
+        if isinstance(whole.inner, PartLabelsJob):
+            return LabelAttributeWindowsJob(whole)
+        flooded = whole.inner.plan.fill == "flood"
         return FloodAttributeWindowsJob(whole) if flooded else AttributeWindowsJob(whole)
+    if isinstance(whole, PartLabelsJob):
+        return LabelWindowsJob(whole)
     if whole.plan.fill == "flood":
         return FloodMergingJob(whole) if merged else FloodWindowsJob(whole)
     return MergingJob(whole) if merged else WindowsJob(whole)

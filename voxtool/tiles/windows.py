@@ -143,10 +143,14 @@ class WindowsJob(Job[BlockOctree]):
     def __init__(self, whole: VoxelizeJob) -> None:
         self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
         self.grid, self.mesh = whole.grid, whole.mesh
-        del whole.lattice  # frees the memory of the whole mesh on the device
+        self._free()
         self.all_faces = np.arange(len(self.mesh.faces))
         self.root = (0, 0, 0, self.grid.side)
         self.plan = self._plan()
+
+    def _free(self) -> None:
+        """Free the memory of the whole mesh on the device."""
+        del self.whole.lattice
 
     def _plan(self) -> WindowsPlan:
         """Return the plan, whose windows all fit."""
@@ -209,6 +213,11 @@ class WindowsJob(Job[BlockOctree]):
         mesh = self._mesh_of(faces)
         return plan_voxelize(mesh, self.grid, window=window, device=self.device, **self._options)
 
+    def _sets_nothing(self, job: Any) -> bool:
+        """Return whether a window is empty: no triangle touches it, and no row enters it inside."""
+        survey = job.plan.survey
+        return survey.triangles == survey.outside and not job.plan.entry
+
     def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> Job[Octree]:
         """Return the job that makes a window, of that of its octree without attributes."""
         return job
@@ -225,7 +234,7 @@ class WindowsJob(Job[BlockOctree]):
         if not len(faces):
             return Part(key)
         job = self._job(key, faces)
-        if job.plan.survey.triangles == job.plan.survey.outside and not job.plan.entry:
+        if self._sets_nothing(job):
             return Part(key)
         made = self._complete(job, key, faces)
         shortage = self._shortage(made)

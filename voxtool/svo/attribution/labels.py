@@ -12,7 +12,7 @@ a surface, measure the areas in voxels of several parts (pieces.py).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -82,14 +82,33 @@ class PartLabelsPlan:
         return out
 
     @property
+    def nodes(self) -> int:
+        """Predicted number of nodes, at most."""
+        return sum(plan.nodes for plan in self.inner)
+
+    @property
+    def bricks(self) -> int:
+        """Predicted number of bricks, at most."""
+        return sum(plan.bricks for plan in self.inner)
+
+    @property
+    def stored_values(self) -> int:
+        """Predicted bytes of the labels in a file, at most."""
+        return 64 * np.dtype(self.dtype).itemsize * self.bricks
+
+    @property
     def cost(self) -> Cost:
         """The predicted bytes."""
-        bricks = sum(plan.bricks for plan in self.inner)
+        bricks = self.bricks
         values = 64 * np.dtype(self.dtype).itemsize + SHARED_BYTES
         host = sum(plan.cost.host for plan in self.inner) + values * bricks
         device = max([plan.cost.device for plan in self.inner], default=0)
         largest = max([plan.cost.largest for plan in self.inner], default=0)
         return Cost(max(device, values * bricks), host, max(largest, values * bricks // 2))
+
+    def scene(self) -> dict[str, Any]:
+        """What is stored with the octree, in JSON types."""
+        return {"labels": len(self.names), "stages": list(self.stages)}
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
@@ -155,19 +174,17 @@ def plan_labels(
     alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
     request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
     options: dict[str, Any] = {"device": device, "max_memory": max_memory}
-    atlas, jobs = None, []
-    together = ~np.isin(own.parts, list(alone))
-    if together.any():
-        low, high = (corner[together] for corner in _voxels(own, fixed, gap))
-        atlas = Atlas.of(own.parts[together], low, high)
-        whole = atlas.mesh(fixed, own.faces, own.of)
-        rule = {**request, "fill": "parity" if fill == "auto" else fill}
-        jobs.append(plan_voxelize(whole, atlas.grid, mode, **rule, **options))
+    jobs = []
+    rule = {**request, "fill": "parity" if fill == "auto" else fill}
+    atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
+    if atlas:
+        together = atlas.mesh(fixed, own.faces, own.of)
+        jobs.append(plan_voxelize(together, atlas.grid, mode, **rule, **options))
     jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, **request, **options)
              for part in alone]  # fmt: skip
     dtype = dtype_of_labels(len(parts.names))
     plan = PartLabelsPlan(
-        mode + "+surface26" * with_surface, parts.names, int(together.sum()),
+        mode + "+surface26" * with_surface, parts.names, len(atlas.parts) if atlas else 0,
         tuple(alone.items()), dtype, atlas.side if atlas else 0, tuple(job.plan for job in jobs),
     )  # fmt: skip
     return PartLabelsJob(mesh, grid, own, ranks, atlas, jobs, plan, device, max_memory)
@@ -178,7 +195,15 @@ def dtype_of_labels(n: int) -> str:
     return "u1" if n <= 1 << 8 else "u2" if n <= 1 << 16 else "u4"
 
 
-def _voxels(own: PartMesh, fixed: np.ndarray, gap: int) -> tuple[np.ndarray, np.ndarray]:
+def atlas_of(own: PartMesh, fixed: np.ndarray, together: np.ndarray, gap: int) -> Atlas | None:
+    """Return the atlas of some parts, given which of all; None of none."""
+    if not together.any():
+        return None
+    low, high = (corner[together] for corner in voxels_of(own, fixed, gap))
+    return Atlas.of(own.parts[together], low, high)
+
+
+def voxels_of(own: PartMesh, fixed: np.ndarray, gap: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and last voxels, (n, 3) int64 each, that parts may set or make active: those
     that a box touches, and one more on each side; two and twice the gap more of a flood."""
     low, high = own.boxes(fixed)
@@ -189,7 +214,7 @@ def _voxels(own: PartMesh, fixed: np.ndarray, gap: int) -> tuple[np.ndarray, np.
 
 def _alone(own: PartMesh, fixed: np.ndarray, grid: Grid, fill: str, gap: int) -> dict[int, str]:
     """Return the parts that are voxelized alone, and why."""
-    low, high = _voxels(own, fixed, gap)
+    low, high = voxels_of(own, fixed, gap)
     beyond = ((low < 0) | (high >= grid.shape)).any(axis=1)
     alone = dict.fromkeys(own.parts[beyond].tolist(), "reaches to the side of the grid")
     if fill not in ("none", "flood"):  # rows that leak would run into other cells
@@ -305,12 +330,11 @@ class PartLabelsJob(Job[Octree]):
     def _octree(
         self, union: Union, values: np.ndarray, leaves: np.ndarray, fills: set[str]
     ) -> Octree:
-        fill = fills.pop() if len(fills) == 1 else "mixed"
-        scene = {"labels": len(self.plan.names), "stages": list(self.plan.stages)}
+        fill = fill_of(fills)
         octree = Octree.of_states(self.grid, self.plan.mode, fill, union.levels, union.bricks.get())
         mesh, label = self.mesh, Attribute("label", values, leaves, names=self.plan.names)
         described = {"source_sha256": mesh.source_sha256, "units": mesh.units}
-        described |= {"transform": mesh.transform, "plan": scene}
+        described |= {"transform": mesh.transform, "plan": self.plan.scene()}
         return replace(octree, attributes=(label,), **described)
 
     def findings(self, result: Octree) -> Iterator[str]:
@@ -319,6 +343,10 @@ class PartLabelsJob(Job[Octree]):
         found = np.zeros(len(self.plan.names), bool)
         found[label.values] = True
         found[label.leaves] = True
+        yield from self.lost(found)
+
+    def lost(self, found: np.ndarray) -> Iterator[str]:
+        """Yield a warning if parts set no voxel, given which labels were found."""
         lost = [self.plan.names[part] for part in self.own.parts.tolist() if not found[part]]
         if lost:
             some = ", ".join(lost[:5]) + (", ..." if len(lost) > 5 else "")
@@ -326,6 +354,12 @@ class PartLabelsJob(Job[Octree]):
                 f"{self.mesh.name or 'mesh'}: {count_of(len(lost), 'part')} without a voxel, "
                 f"{some}: choose smaller voxels, another priority, or add the surface"
             )
+
+
+def fill_of(fills: Iterable[str]) -> str:
+    """Return the fill of an octree whose parts have these fill rules."""
+    rules = set(fills)
+    return rules.pop() if len(rules) == 1 else "mixed"
 
 
 def _greatest(voxels: np.ndarray, labels: np.ndarray, areas: np.ndarray, count: int) -> np.ndarray:

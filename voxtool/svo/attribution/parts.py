@@ -106,6 +106,14 @@ class PartMesh:
         points = mesh.vertices[vertex_at[ascending & 0xFFFFFFFF]]
         return cls(points, faces, labels, part_of, distinct(part_of))
 
+    def some(self, faces: np.ndarray) -> PartMesh:
+        """Return the mesh of some faces, which ascend."""
+        used = np.zeros(len(self.points), bool)
+        used[self.faces[faces]] = True
+        index = np.cumsum(used, dtype=np.int32) - 1
+        arrays = self.points[used], index[self.faces[faces]], self.of[faces], self.part_of[used]
+        return PartMesh(*arrays, distinct(arrays[-1]))
+
     def boxes(self, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the low and high corners, (n, 3) int32 each, of the vertices of the parts, given
         the vertices on the lattice of a grid."""

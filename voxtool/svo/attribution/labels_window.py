@@ -1,0 +1,95 @@
+"""Labels of a window of a grid: those of the whole grid.
+
+What a part sets in a window follows from its faces near the window, those before it along x, and
+its fill rule, which is chosen once for the whole part. Parts that lie in the window wholly are
+voxelized at once, as in the whole grid; others alone, in the window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from voxtool.grid import FIXED_POINT_BITS
+from voxtool.svo.attribution.labels import PartLabelsJob, atlas_of, voxels_of
+from voxtool.svo.attribution.parts import PartMesh
+from voxtool.svo.voxelize import Window, plan_voxelize
+
+BEYOND = "reaches beyond the window"
+Rule = tuple[str, int]  # a fill, and the gap that a flood closes
+
+
+@dataclass(frozen=True, eq=False)
+class PartsOfWindows:
+    """The parts of a labelled voxelization, from which windows are planned.
+
+    whole : the voxelization in one piece
+    own : its parts, with faces as the fill rules turned them
+    rules : of each part
+    low, high : (n, 3) int64, the first and last voxels that each of own.parts may change
+    """
+
+    whole: PartLabelsJob
+    own: PartMesh
+    rules: dict[int, Rule]
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def of(cls, whole: PartLabelsJob) -> PartsOfWindows:
+        """Return the parts of a planned voxelization."""
+        own, rest, rules = whole.own, list(whole.jobs), {}
+        if whole.atlas:
+            plan = rest.pop(0).plan
+            rules = dict.fromkeys(whole.atlas.parts.tolist(), (plan.fill, plan.gap))
+        faces = own.faces.copy()
+        for (part, _), job in zip(whole.plan.alone, rest, strict=True):
+            rules[part] = job.plan.fill, job.plan.gap
+            first = np.int32(np.searchsorted(own.part_of, part))
+            faces[own.of == part] = job.mesh.faces + first
+        low, high = voxels_of(own, whole.grid.to_fixed(own.points), 0)
+        return cls(whole, replace(own, faces=faces), rules, low, high)
+
+    def with_rule(self, fill: str) -> np.ndarray:
+        """Return which faces are of parts that a rule fills, (F,) bool."""
+        parts = [part for part, (own, _) in self.rules.items() if own == fill]
+        return np.isin(self.own.of, parts)
+
+    def job(self, faces: np.ndarray, window: Window) -> PartLabelsJob:
+        """Return the job of a window, given the faces that can change it; it has no jobs of parts
+        if nothing is set there."""
+        whole, own = self.whole, self.own.some(faces)
+        low, shape = np.asarray(window[0]), window[1]
+        fixed = whole.grid.to_fixed(own.points) - (low.astype(np.int32) << FIXED_POINT_BITS)
+        place = np.searchsorted(self.own.parts, own.parts)
+        within = ((self.low[place] >= low) & (self.high[place] < low + shape)).all(axis=1)
+        within &= np.isin(own.parts, whole.atlas.parts if whole.atlas else [])
+        mode, _, added = whole.plan.mode.partition("+")
+        options: dict[str, Any] = {"device": whole.device, "max_memory": whole.max_memory}
+        options["with_surface"] = bool(added)
+        atlas, jobs, alone = atlas_of(own, fixed, within, 0), [], []
+        if atlas:
+            mesh, fill = atlas.mesh(fixed, own.faces, own.of), self._fill(int(atlas.parts[0]))
+            jobs.append(plan_voxelize(mesh, atlas.grid, mode, fill=fill, **options))
+        for part in own.parts[~within].tolist():
+            mesh, fill = own.alone(part, whole.mesh), self._fill(part)
+            job = plan_voxelize(mesh, whole.grid, mode, fill=fill, window=window, **options)
+            survey = job.plan.survey
+            if survey.triangles > survey.outside or job.plan.entry:
+                jobs.append(job)
+                alone.append((part, BEYOND))
+        plan = replace(
+            whole.plan, together=len(atlas.parts) if atlas else 0, alone=tuple(alone),
+            side=atlas.side if atlas else 0, inner=tuple(job.plan for job in jobs),
+        )  # fmt: skip
+        return PartLabelsJob(
+            whole.mesh, whole.grid.window(*window), own, whole.ranks, atlas, jobs, plan,
+            whole.device, whole.max_memory, window, whole.grid,
+        )  # fmt: skip
+
+    def _fill(self, part: int) -> str:
+        """Return the fill of a part, as plan_voxelize takes it."""
+        fill, _ = self.rules[part]
+        return "auto" if fill == "none" else fill

@@ -1,0 +1,79 @@
+"""Labels in windows: each window from the parts that reach it, by the rules of the whole parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from voxtool.arrays import digest_of
+from voxtool.errors import MemoryLimitError
+from voxtool.files.windows import Key, Window
+from voxtool.svo.attributes import Attribute
+from voxtool.svo.attribution.labels import PartLabelsJob, fill_of
+from voxtool.svo.attribution.labels_window import PartsOfWindows
+from voxtool.tiles.octree import BlockOctree
+from voxtool.tiles.windows import MARGIN, WindowsJob, attributed, shape_of
+
+
+class LabelWindowsJob(WindowsJob):
+    """A voxelization with labels that runs window by window."""
+
+    whole: PartLabelsJob  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __init__(self, whole: PartLabelsJob) -> None:
+        self._parts = PartsOfWindows.of(whole)
+        self._wound = self._parts.with_rule("winding")
+        flooded = np.flatnonzero(self._parts.with_rule("flood"))
+        if len(flooded):
+            name = whole.plan.names[self._parts.own.of[flooded[0]]]
+            raise MemoryLimitError(
+                f"part {name} is filled by flood, which is not made in windows beside other parts: "
+                "allow more (see --max-memory), choose another --fill, or voxelize it by itself"
+            )
+        super().__init__(whole)  # pyright: ignore[reportArgumentType]
+
+    def _free(self) -> None:
+        for job in self.whole.jobs:
+            del job.lattice
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """The content and the rules of the octree that is made, in JSON types."""
+        whole, own = self.whole, self._parts.own
+        fills = [self._parts.rules[part][0] for part in own.parts.tolist()]
+        content = digest_of(self.grid.exact, own.points, own.faces, own.of, whole.ranks)
+        rules = {"mode": whole.plan.mode, "fills": sorted(set(fills))}
+        return {"content": content, **rules, "names": digest_of({"names": whole.plan.names})}
+
+    @property
+    def _rule(self) -> tuple[str, str]:
+        return self.whole.plan.mode, fill_of(job.plan.rule for job in self.whole.jobs)
+
+    def _faces_of(self, key: Key, faces: np.ndarray) -> np.ndarray:
+        """Return those of some faces that can change a window: of parts filled by their winding
+        number all, as holes far away count."""
+        near = self._faces_near(key, faces, MARGIN, rows=not self.whole.plan.surface)
+        wound = faces[self._wound[faces]]
+        return np.union1d(near, wound) if len(wound) else near
+
+    def _job(self, key: Key, faces: np.ndarray) -> Any:
+        return self._parts.job(faces, (key[:3], shape_of(key, self.grid)))
+
+    def _sets_nothing(self, job: PartLabelsJob) -> bool:
+        return not job.jobs
+
+    def _finished(self, key: Key, faces: np.ndarray) -> Window:
+        return attributed(self._job(key, faces)._run(), key[3])
+
+    def _kinds(self) -> Sequence[Attribute]:
+        none = np.empty(0, self.whole.plan.dtype)
+        return (*super()._kinds(), Attribute("label", none, none, names=self.whole.plan.names))
+
+    def findings(self, octree: BlockOctree) -> Iterator[str]:
+        """Yield a warning if parts set no voxel."""
+        found = np.zeros(len(self.whole.plan.names), bool)
+        for key in self._used:
+            found[self.store.attribute(key, "label")["labels"]] = True
+        yield from self.whole.lost(found)
