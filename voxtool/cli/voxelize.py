@@ -135,8 +135,8 @@ def command(
         raise click.UsageError(f"{name} goes with --mode {FRACTION}, not {mode}")
     if mode == FRACTION:
         given = {"--with-surface": with_surface, "--attributes": attributes, "--dag": dag,
-                 "--dask": dask, "--resume": resume}  # fmt: skip
-        check_fraction(fill, {**given, "--windows": windows != "auto"})
+                 "--dask": dask}  # fmt: skip
+        check_fraction(fill, given)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if thin and "surface" not in mode:
@@ -205,7 +205,7 @@ def command(
             parts = run.stage("plan windows", spread, job, client, run.device_name, merged=dag)
         elif (
             windows != "never"
-            and not (thin or mode == FRACTION)
+            and not thin
             and run.file_format == "svo.h5"
             and not fits(job, dag)
         ):

@@ -40,13 +40,14 @@ Key = tuple[int, int, int, int]  # the window's low corner and its side, in voxe
 @dataclass(frozen=True)
 class Window:
     """The content of a window: the states of its nodes by level, from the root down, its bricks,
-    the number of its voxels, and their attributes."""
+    the number of its voxels, and their attributes; what else is to be known of it, in JSON types."""
 
     levels: Sequence[np.ndarray]
     bricks: np.ndarray
     voxels: int
     sha256: str  # of the files that it is stored in
     attributes: Sequence[Attribute] = ()
+    known: Any = None
 
     @classmethod
     def of(
@@ -55,12 +56,13 @@ class Window:
         bricks: np.ndarray,
         voxels: int,
         attributes: Sequence[Attribute] = (),
+        known: Any = None,
     ) -> Self:
         """Return a window with its SHA-256."""
         sha = hashlib.sha256()
         for array in (*levels, bricks, *(part for one in attributes for part in one.arrays)):
             sha.update(np.ascontiguousarray(array).data)
-        return cls(levels, bricks, voxels, sha.hexdigest(), attributes)
+        return cls(levels, bricks, voxels, sha.hexdigest(), attributes, known)
 
 
 class Windows:
@@ -90,7 +92,7 @@ class Windows:
         resume: bool = False,
         keep: bool = True,
     ) -> None:
-        self.folder = Path(f"{target}.windows")
+        self.folder, self._resume, self._request = Path(f"{target}.windows"), resume, request
         self._journal = self.folder / JOURNAL
         self._lines: dict[Key, dict[str, Any]] = {}
         head = {"voxtool": "windows", "version": VERSION, "request": request}
@@ -120,6 +122,11 @@ class Windows:
                 f"{self.folder.with_suffix('')} needs about {human(needed - there)} of disk, of "
                 f"{human(free)} free: free some space, or write to another disk"
             )
+
+    def beside(self, name: str) -> Windows:
+        """Return other windows of the same request, which wait in this folder, too."""
+        request = {**self._request, "beside": name}
+        return Windows(str(self.folder / name), request, resume=self._resume)
 
     def __enter__(self) -> Self:
         return self
@@ -185,6 +192,10 @@ class Windows:
     def voxels(self, key: Key) -> int:
         """Return the number of voxels of a window."""
         return self._lines[key]["voxels"]
+
+    def known(self, key: Key) -> Any:
+        """Return what else is known of a window."""
+        return self._lines[key]["known"]
 
     def bricks(self, key: Key) -> Iterator[np.ndarray]:
         """Yield the bricks of a window in blocks."""
@@ -288,7 +299,7 @@ def _written(folder: Path, key: Key, window: Window) -> dict[str, Any]:
             attributes[one.name]["labels"] = distinct(np.concatenate(one.arrays[-2:])).tolist()
     sizes = {"levels": [array.nbytes for array in window.levels]}
     counts = {"bricks": len(window.bricks), "voxels": window.voxels, "files": len(files)}
-    described = {**sizes, **counts, "attributes": attributes}
+    described = {**sizes, **counts, "attributes": attributes, "known": window.known}
     return {"window": key, **described, "sha256": window.sha256}
 
 

@@ -44,7 +44,7 @@ class BlockAttribute:
         self.leaves = leaves
         self.blank = about.blank
         found = [store.attribute(key, self.name) for key in keys]
-        self.masked = any(one["masked"] for one in found)
+        self.masked = about.masked or any(one["masked"] for one in found)
         self._size = sum(one["values"] for one in found)
         self._total: Fraction | None = None
 

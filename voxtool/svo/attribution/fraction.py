@@ -25,6 +25,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -38,7 +39,7 @@ from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.fraction_rows import FACES, Parts, Shares, sum_rows
-from voxtool.svo.layout import BRICK
+from voxtool.svo.layout import BRICK, BRICK_BYTES
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.scan import COVERED, MET, TOUCHED, ActiveNodes, Scan, add_nodes
@@ -130,9 +131,21 @@ class FractionPlan:
         return left
 
     @property
+    def nodes(self) -> int:
+        """Predicted number of nodes."""
+        return self.solid.nodes
+
+    @property
     def bricks(self) -> int:
         """Predicted number of bricks."""
         return self.solid.bricks
+
+    @property
+    def stored_values(self) -> int:
+        """Predicted bytes of the fractions in a file, with their masks."""
+        numbers = 1 + FACES * self.faces
+        masks = BRICK_BYTES * self.bricks * (1 + self.faces)
+        return numbers * TYPES[self.kind].itemsize * self.touched + masks
 
     @property
     def touched(self) -> int:
@@ -210,37 +223,57 @@ class FractionJob(Job[Octree]):
         self.plan = replace(plan, solid=solid.plan)
         self.disagreements = 0  # known once it has run
 
+    @property
+    def grid(self) -> Grid:
+        """The grid of the octree."""
+        return self.solid.grid
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh, whose faces are turned where the fill rule needs it."""
+        return self.solid.mesh
+
     def with_(self, **decisions: Any) -> Self:
         """Return a copy of the job with fields of its plan, or of its solid's, replaced."""
         job = copy.copy(self)
+        job.__dict__.pop("mesh_volume", None)
         own = {"kind": decisions.pop("kind")} if "kind" in decisions else {}
         job.solid = self.solid.with_(**decisions)
         job.plan = replace(self.plan, solid=job.solid.plan, **own)
         return job
 
     def _run(self) -> Octree:
+        solid, found = self.shares()
+        with self.stage("fractions"):
+            attributes = attributes_of(found, self.plan.kind)
+        plan = self.scene()
+        return replace(solid, mode=MODE, plan=plan, bricks=found.bricks, attributes=attributes)
+
+    def scene(self) -> dict[str, Any]:
+        """Return the plan that is stored with the octree, in JSON types."""
+        return {**self.plan.scene(), MESH_VOLUME: self.mesh_volume}
+
+    def shares(self, axis_alone: int | None = None) -> tuple[Octree, Shares]:
+        """Return the octree of the solid, and what lies inside of the voxels that triangles touch;
+        with `axis_alone` by rows along this axis alone."""
         plan = replace(self.plan.solid, addressing="ranks")
         solid, scan = self.solid.solid_octree(), Scan(self.solid.lattice, plan)
         level = solid.levels(finest=1)[-1]
         active = add_nodes(scan, level.codes[level.refined])
         with self.stage("touched voxels"):
             touched, firsts, count = _touched(scan, active)
-        volume = self.mesh_volume
         with self.stage("parts"):
-            turned = volume < 0 and plan.fill != "winding"
+            turned = self.mesh_volume < 0 and plan.fill != "winding"
             parts = _add_parts(scan, active, touched, firsts, count, turned, self.plan.faces)
         with self.stage("sums along rows"):
-            found = sum_rows(self.device, solid, plan.shape, parts, scan.options)
+            found = sum_rows(self.device, solid, plan.shape, parts, scan.options, axis_alone)
         self.disagreements = found.disagreements
-        with self.stage("fractions"):
-            attributes = attributes_of(found, self.plan.kind)
-        changed = {"mode": MODE, "plan": {**self.plan.scene(), MESH_VOLUME: volume}}
-        return replace(solid, **changed, bricks=found.bricks, attributes=attributes)
+        return solid, found
 
-    @property
+    @cached_property
     def mesh_volume(self) -> float:
         """The signed volume of the mesh on the fixed-point lattice, caps included, in voxels: the
-        exact number, rounded once."""
+        exact number, rounded once; of a window, that of the whole mesh."""
         lattice = self.solid.lattice
         faces = lattice.faces.get(0, lattice.faces.size).reshape(-1, 3)
         return volume_in_units(lattice.fixed, faces) / (6 << 24)
@@ -271,6 +304,13 @@ class FractionJob(Job[Octree]):
     @property
     def _name(self) -> str:
         return self.solid.mesh.name or "mesh"
+
+
+def without_values(kind: str, *, faces: bool) -> tuple[Attribute, ...]:
+    """Return the attributes of an octree with fractions, without values."""
+    none = np.empty(0, np.uint32)
+    masks, shares = np.empty(0, BRICK), np.empty((0, FACES), np.uint32) if faces else None
+    return attributes_of(Shares(masks, masks, masks, none, shares, masks, 0), kind)
 
 
 def attributes_of(found: Shares, kind: str) -> tuple[Attribute, ...]:

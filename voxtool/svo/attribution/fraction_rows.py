@@ -58,6 +58,7 @@ class Parts:
 class Shares:
     """What lies inside, in units of 1 / WHOLE.
 
+    touched : (M,) uint64, the voxels that triangles touch
     bricks : (M,) uint64, the voxels that have a share
     partial : (M,) uint64, those whose share is neither 0 nor WHOLE
     voxels : (count,) uint32 shares of touched voxels
@@ -66,6 +67,7 @@ class Shares:
     disagreements : places along rows where the sums and the fill rule differ
     """
 
+    touched: np.ndarray
     bricks: np.ndarray
     partial: np.ndarray
     voxels: np.ndarray
@@ -80,9 +82,11 @@ def sum_rows(
     shape: tuple[int, int, int],
     parts: Parts,
     options: dict[str, int | str],
+    axis_alone: int | None = None,
 ) -> Shares:
     """Return the shares of touched voxels and, if there are sums across y and z, of their faces;
-    `solid` has the other voxels, in the part of the grid of this shape."""
+    `solid` has the other voxels, in the part of the grid of this shape. With `axis_alone` only rows
+    along it are summed: the other faces have no share yet, and voxels have one by rows along x."""
     bricks, partial = device.put(solid.bricks), device.empty(len(solid.bricks), BRICK)
     voxels, wrong = device.empty(parts.count, np.uint32), device.zeros(1, np.uint32)
     faces = device.empty(FACES * parts.count, np.uint32) if parts.across else None
@@ -96,19 +100,21 @@ def sum_rows(
     if parts.across:
         sums += [(parts.across, start, {"partial": None, "shares": None}) for start in (0, 1)]
     for axis, (areas, start, found) in enumerate(sums):
+        if axis_alone not in (None, axis):
+            continue
         p, q = shape[(axis + 1) % 3], shape[(axis + 2) % 3]
         rows(
             -(-p // 8) * -(-q // 8), axis=axis, entry=parts.entries[axis], areas=areas, start=start,
             **found, **octree,
         )  # fmt: skip
     cut = None
-    if faces:
+    if faces and axis_alone is None:
         cut = device.empty(len(solid.bricks), BRICK)
         device.kernel(SOURCE, "mask_faces", **options)(
             cut.size, parts.touched, parts.firsts, voxels, faces, cut
         )
     return Shares(
-        bricks.take(), partial.take(), voxels.take(),
-        faces.take().reshape(-1, FACES) if faces else None, cut.take() if cut else None,
+        parts.touched.get(), bricks.take(), partial.take(), voxels.take(),
+        faces.take().reshape(-1, FACES) if faces else None, cut and cut.take(),
         int(wrong.take()[0]),
     )  # fmt: skip

@@ -46,7 +46,8 @@ class PartsOfWindows:
             rules = dict.fromkeys(whole.atlas.parts.tolist(), (plan.fill, plan.gap))
         faces = own.faces.copy()
         for (part, _), job in zip(whole.plan.alone, rest, strict=True):
-            rules[part] = job.plan.fill, job.plan.gap
+            plan = getattr(job.plan, "solid", job.plan)  # of fractions, that of the solid
+            rules[part] = plan.fill, plan.gap
             first = np.int32(np.searchsorted(own.part_of, part))
             faces[own.of == part] = job.mesh.faces + first
         low, high = voxels_of(own, whole.grid.to_fixed(own.points), 0)

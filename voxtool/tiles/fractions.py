@@ -1,0 +1,384 @@
+"""Fractions in windows: whole rows at a time, as what lies inside is summed along rows.
+
+A bar takes all of the grid along an axis, and as much across as fits in memory; its voxels are
+exactly those of the whole. It is cut into cubes, which are the windows that wait on disk. Faces of
+voxels are summed along all three axes: bars along y and along z give the shares of their faces,
+which wait, too, until the bars along x are made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from voxtool.arrays import digest_of
+from voxtool.errors import MemoryLimitError, count_of
+from voxtool.files.windows import Key, Window, Windows
+from voxtool.job import Cost
+from voxtool.svo.attributes import BITS, Attribute
+from voxtool.svo.attribution.fraction import (
+    MODE,
+    FractionJob,
+    attributes_of,
+    plan_fractions,
+    without_values,
+)
+from voxtool.svo.attribution.fraction_rows import Shares
+from voxtool.svo.attribution.labels import fill_of
+from voxtool.svo.attribution.part_fractions import PartFractionsJob
+from voxtool.svo.stored_volume import WHOLE
+from voxtool.svo.voxelize import Window as Box
+from voxtool.tiles.bars import Cube, attributes_within, cubes_along
+from voxtool.tiles.labelled import LabelWindowsJob
+from voxtool.tiles.octree import BlockOctree
+from voxtool.tiles.windows import (
+    LEAST,
+    MARGIN,
+    Part,
+    WindowsJob,
+    WindowsPlan,
+    halves_of,
+    mesh_of,
+    shape_of,
+)
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A bar of the grid, whose low corner is that of its first cube; plan : of its job."""
+
+    axis: int
+    key: Key
+    plan: Any
+
+    def cubes(self, shape: Sequence[int]) -> list[Key]:
+        """Return its cubes, in a grid of this shape."""
+        side = self.key[3]
+        corners = np.tile(self.key, (-(-shape[self.axis] // side), 1))
+        corners[:, self.axis] = np.arange(len(corners)) * side
+        return [(x, y, z, side) for x, y, z, _ in corners.tolist()]
+
+
+@dataclass(frozen=True)
+class BarsPlan(WindowsPlan):
+    """The windows of an octree with fractions: the cubes of bars."""
+
+    bars: tuple[Bar, ...] = ()
+    shares: int = 0  # predicted bytes of shares of faces that wait
+
+    @property
+    def count(self) -> int:
+        """Number of bars."""
+        return len(self.bars)
+
+    @property
+    def cost(self) -> Cost:
+        """The predicted bytes of the largest bar, and of the states of all nodes."""
+        costs = [bar.plan.cost for bar in self.bars]
+        largest = {
+            name: max((getattr(cost, name) for cost in costs), default=0)
+            for name in ("device", "host", "largest")
+        }
+        return replace(Cost(**largest), host=largest["host"] + super().cost.host)
+
+    @property
+    def disk(self) -> int:
+        """Predicted bytes of the file, and at most of what waits for it."""
+        return super().disk + self.shares
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and texts, which `--plan` prints before the stages."""
+        axes = ", ".join(AXES[axis] for axis in sorted({bar.axis for bar in self.bars}))
+        side = self.bars[0].key[3] if self.bars else 0
+        text = f"{count_of(self.count, 'bar')} along {axes}, {side} x {side} voxels across"
+        text += ", one after the other"
+        return [("windows", text) if row[0] == "windows" else row for row in super().rows()]
+
+
+class BarsJob(WindowsJob):
+    """A voxelization that runs bar by bar.
+
+    Subclasses say what the job of a bar is, and what its windows are.
+    """
+
+    plan: BarsPlan
+    axes: tuple[int, ...] = (0,)  # along which there are bars; x is the last
+
+    def _bar_job(self, faces: np.ndarray, box: Box) -> Any:
+        """Return the job of a bar, given the faces that can change it; None if it is empty."""
+        raise NotImplementedError
+
+    def _cubes(self, job: Any, side: int, keys: Sequence[Key]) -> Iterator[Window]:
+        """Run the job of a bar along x; yield its cubes as windows."""
+        raise NotImplementedError
+
+    def _everywhere(self) -> np.ndarray:
+        """Return the faces that can change every bar, as those of winding numbers."""
+        raise NotImplementedError
+
+    # ---- the plan
+
+    def _plan(self) -> BarsPlan:
+        side = self.grid.side
+        while (bars := self._bars(side)) is None:
+            side //= 2
+        along_x = {bar.key[1:3]: bar.plan for bar in bars if not bar.axis}
+
+        def part_of(key: Key) -> Part:
+            if min(shape_of(key, self.grid)) <= 0:
+                return Part(key)
+            if key[3] > side:
+                return Part(key, parts=tuple(map(part_of, halves_of(key))))
+            plan = along_x.get(key[1:3])
+            return Part(key, window=plan is not None, plan=None if key[0] else plan)
+
+        shares = sum(8 * bar.plan.touched for bar in bars if bar.axis)
+        return BarsPlan(self._whole_plan, part_of(self.root), tuple(bars), shares)
+
+    def _bars(self, side: int) -> list[Bar] | None:
+        """Return the bars that are not empty, or None if one does not fit."""
+        found = []
+        for axis in self.axes:
+            p, q = (other for other in range(3) if other != axis)
+            for j in range(0, self.grid.shape[q], side):
+                for i in range(0, self.grid.shape[p], side):
+                    corner = [0, 0, 0]
+                    corner[p], corner[q] = i, j
+                    bar = Bar(axis, (*corner, side), None)  # pyright: ignore[reportArgumentType]
+                    job = self._job_of(bar)
+                    if job is None:
+                        continue
+                    if job.shortage:
+                        if side > LEAST:
+                            return None
+                        raise MemoryLimitError(
+                            f"a bar of {side} x {side} voxels along {AXES[axis]} {job.shortage}: "
+                            "allow more, or choose a smaller dim"
+                        )
+                    found.append(replace(bar, plan=job.plan))
+        return found
+
+    def _job_of(self, bar: Bar) -> Any:
+        """Return the job of a bar, or None if it is empty."""
+        shape = list(shape_of(bar.key, self.grid))
+        shape[bar.axis] = self.grid.shape[bar.axis]
+        faces = self._faces_of_bar(bar)
+        return self._bar_job(faces, (bar.key[:3], tuple(shape))) if len(faces) else None
+
+    def _faces_of_bar(self, bar: Bar) -> np.ndarray:
+        """Return the faces that can change a bar: those near it, and those before it along x."""
+        low, high = self._ranges
+        corner, side = np.array(bar.key[:3]), bar.key[3]
+        first, last = high >= corner - MARGIN, low <= corner + side + MARGIN
+        first[:, [0, bar.axis]] = last[:, bar.axis] = True
+        near = np.flatnonzero((first & last).all(axis=1))
+        everywhere = self._everywhere()
+        return np.union1d(near, everywhere) if len(everywhere) else near
+
+    # ---- the work
+
+    def _make(self, missing: Iterable[Any]) -> None:
+        """Make the bars along x; their cubes wait on disk."""
+        along_x = [bar for bar in self.plan.bars if not bar.axis]
+        self._done = len(self.plan.bars) - len(along_x)
+        for bar in along_x:
+            keys = bar.cubes(self.grid.shape)
+            if all(key in self.store for key in keys):
+                self._done += 1
+                continue
+            self._report()
+            with self.device.reporting(lambda _: None):  # not the stages within
+                cubes = self._cubes(self._job_of(bar), bar.key[3], keys)
+                for key, window in zip(keys, cubes, strict=True):
+                    self.store.put(key, window)
+
+    def _report(self, what: str = "bar") -> None:
+        super()._report(what)
+
+
+class FractionWindowsJob(BarsJob):
+    """A voxelization into fractions that runs bar by bar."""
+
+    whole: Any
+
+    def __init__(self, whole: FractionJob) -> None:
+        self._volume = whole.mesh_volume  # which needs the mesh on the device
+        self.axes = (1, 2, 0) if whole.plan.faces else (0,)
+        super().__init__(whole)  # pyright: ignore[reportArgumentType]
+
+    def _free(self) -> None:
+        del self.whole.solid.lattice
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """The content and the rule of the octree that is made, in JSON types."""
+        content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
+        plan = self.whole.plan
+        rules = {"mode": MODE, "fill": plan.solid.rule, "kind": plan.kind, "faces": plan.faces}
+        return {"content": content, **rules}
+
+    @property
+    def _rule(self) -> tuple[str, str]:
+        return MODE, self.whole.plan.solid.rule
+
+    def _scene(self) -> dict[str, Any]:
+        return self.whole.scene()
+
+    def _kinds(self) -> Sequence[Attribute]:
+        return without_values(self.whole.plan.kind, faces=self.whole.plan.faces)
+
+    def _everywhere(self) -> np.ndarray:
+        return self.all_faces[: None if self.whole.plan.solid.fill == "winding" else 0]
+
+    def _bar_job(self, faces: np.ndarray, box: Box) -> FractionJob | None:
+        plan = self.whole.plan
+        job = plan_fractions(
+            mesh_of(self.mesh, faces), self.grid, fill=plan.solid.fill, kind=plan.kind,
+            faces=plan.faces, window=box, device=self.device, max_memory=self.max_memory,
+        )  # fmt: skip
+        job.mesh_volume = self._volume
+        return None if self._sets_nothing(job.solid) else job
+
+    def _prepare(self) -> None:
+        """Find the shares of faces across y and z."""
+        self._done = 0
+        self._shares = {axis: self.store.beside(AXES[axis]) for axis in self.axes[:-1]}
+        for bar in self.plan.bars:
+            if bar.axis:
+                self._report()
+                self._share_faces(bar, self._shares[bar.axis])
+
+    def _share_faces(self, bar: Bar, store: Windows) -> None:
+        """Store the two shares of each touched voxel of a bar as one number of 64 bits."""
+        keys = bar.cubes(self.grid.shape)
+        if all(key in store for key in keys):
+            return
+        with self.device.reporting(lambda _: None):  # not the stages within
+            octree, found = self._job_of(bar).shares(bar.axis)
+        assert found.faces is not None
+        pairs = np.ascontiguousarray(found.faces[:, 2 * bar.axis : 2 * bar.axis + 2])
+        firsts = starts_of(found.touched)
+        cubes = cubes_along(octree, bar.key[3], bar.axis)
+        wrong = found.disagreements
+        for key, cube in zip(keys, cubes, strict=True):
+            own = pairs[firsts[cube.first] : firsts[cube.last]]
+            store.put(key, Window.of((), own.view(np.uint64).ravel(), 0, (), wrong))
+            wrong = 0
+
+    def _cubes(self, job: FractionJob, side: int, keys: Sequence[Key]) -> Iterator[Window]:
+        octree, found = job.shares(0 if self._shares else None)
+        firsts, wrong = starts_of(found.touched), found.disagreements
+        for key, cube in zip(keys, cubes_along(octree, side, 0), strict=True):
+            own = self._within(found, cube, firsts, key)
+            attributes = list(attributes_of(own, self.whole.plan.kind))
+            yield cube.window(own.bricks, attributes, wrong)
+            wrong = 0
+
+    def _within(self, found: Shares, cube: Cube, firsts: np.ndarray, key: Key) -> Shares:
+        """Return the shares of a cube, with those of all its faces."""
+        bricks, voxels = (
+            slice(cube.first, cube.last),
+            slice(firsts[cube.first], firsts[cube.last]),
+        )
+        touched, shares = found.touched[bricks], found.voxels[voxels]
+        faces = cut = None
+        if found.faces is not None:
+            parts = [found.faces[voxels, :2]]
+            for store in self._shares.values():
+                pairs = np.concatenate([np.empty(0, np.uint64), *store.bricks(key)])
+                parts.append(pairs.view(np.uint32).reshape(-1, 2))
+            faces = np.concatenate(parts, axis=1)
+            cut = _cut(touched, (shares > 0) & (faces != WHOLE).any(axis=1))
+        return Shares(
+            touched, found.bricks[bricks], found.partial[bricks], shares, faces, cut, 0
+        )
+
+    def findings(self, octree: BlockOctree) -> Iterator[str]:
+        """Yield warnings, those of the octree in one piece."""
+        stores = {0: self.store, **self._shares}
+        self.whole.disagreements = sum(stores[bar.axis].known(bar.key) for bar in self.plan.bars)
+        return self.whole.findings(octree)
+
+
+def starts_of(masks: np.ndarray) -> np.ndarray:
+    """Return how many voxels of some masks come before each, and their number."""
+    return np.concatenate([[0], np.cumsum(np.bitwise_count(masks), dtype=np.int64)])
+
+
+def _cut(touched: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the masks of those of the touched voxels that are chosen."""
+    bits = (touched[:, None] & BITS) != 0
+    bits[bits] = chosen
+    return np.packbits(bits, axis=1, bitorder="little").view(np.uint64).ravel()
+
+
+class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
+    """A voxelization with labels and fractions that runs bar by bar."""
+
+    whole: PartFractionsJob
+
+    def _free(self) -> None:
+        self._volumes = {}
+        for (part, _), job in zip(self.whole.plan.alone, self.whole.jobs, strict=True):
+            self._volumes[part] = job.mesh_volume  # which needs the mesh on the device
+            del job.solid.lattice
+
+    def _everywhere(self) -> np.ndarray:
+        return np.flatnonzero(self._wound)
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """The content and the rules of the octree that is made, in JSON types."""
+        return {**super().request, "kind": self.whole.plan.kind}
+
+    @property
+    def _rule(self) -> tuple[str, str]:
+        return MODE, fill_of(job.plan.solid.rule for job in self.whole.jobs)
+
+    def _kinds(self) -> Sequence[Attribute]:
+        return (*super()._kinds(), *without_values(self.whole.plan.kind, faces=False))
+
+    def _bar_job(self, faces: np.ndarray, box: Box) -> PartFractionsJob | None:
+        whole, own = self.whole, self._parts.own.some(faces)
+        jobs, alone = [], []
+        for part in own.parts.tolist():
+            job = plan_fractions(
+                own.alone(part, whole.mesh), self.grid, fill=self._parts.rules[part][0],
+                kind=whole.plan.kind, window=box, device=self.device, max_memory=self.max_memory,
+            )  # fmt: skip
+            job.mesh_volume = self._volumes[part]
+            if not WindowsJob._sets_nothing(self, job.solid):
+                jobs.append(job)
+                alone.append((part, ""))
+        if not jobs:
+            return None
+        plan = replace(whole.plan, alone=tuple(alone), inner=tuple(job.plan for job in jobs))
+        return PartFractionsJob(
+            whole.mesh, self.grid.window(*box), own, whole.ranks, None, jobs, plan, self.device,
+            self.max_memory,
+        )  # fmt: skip
+
+    def _cubes(self, job: PartFractionsJob, side: int, keys: Sequence[Key]) -> Iterator[Window]:
+        octree = job._run()
+        parts = [part for part, _ in job.plan.alone]
+        wrong = [[part, one.disagreements] for part, one in zip(parts, job.jobs, strict=True)]
+        for cube in cubes_along(octree, side, 0):
+            bricks = octree.bricks[cube.first : cube.last]
+            yield cube.window(bricks, attributes_within(octree, cube), wrong)
+            wrong = []
+
+    def findings(self, octree: BlockOctree) -> Iterator[str]:
+        """Yield warnings, those of the octree in one piece."""
+        yield from super().findings(octree)
+        wrong = dict.fromkeys(self._parts.own.parts.tolist(), 0)
+        for bar in self.plan.bars:
+            for part, count in self.store.known(bar.key):
+                wrong[part] += count
+        for (part, _), job in zip(self.whole.plan.alone, self.whole.jobs, strict=True):
+            job.disagreements = wrong[part]
+            yield from job.wrong()
