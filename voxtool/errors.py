@@ -33,6 +33,10 @@ class MemoryLimitError(VoxtoolError):
     """A request needs more memory than it may take."""
 
 
+class OnePieceError(MemoryLimitError):
+    """A request that does not fit in memory has something that is not made in windows."""
+
+
 class CheckError(VoxtoolError):
     """A check or a comparison that was asked for does not hold."""
 

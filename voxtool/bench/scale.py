@@ -27,8 +27,8 @@ from voxtool.svo.booleans import combine, plan_combine
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.voxelize import plan_voxelize, voxelize
-from voxtool.tiles.flooding import plan_windows
 from voxtool.tiles.merging import MergingJob
+from voxtool.tiles.plan import plan_windows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

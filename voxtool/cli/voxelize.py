@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -25,7 +25,7 @@ from voxtool.cli import options, runner
 from voxtool.cli.in_windows import make_in_windows, refuse_stdout, windows_options
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
-from voxtool.errors import MemoryLimitError, human
+from voxtool.errors import MemoryLimitError, OnePieceError, human
 from voxtool.files.formats import EXPORTS, MERGED_FORMATS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def command(
     if priority and not labels:
         raise click.UsageError("--priority goes with --labels: give both")
     if labels and (dag or thin or dask):
-        raise click.UsageError("--labels takes a mesh in one piece: drop --dag, --thin and --dask")
+        raise click.UsageError("--labels: not with --dag, --thin and --dask: drop them")
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.attribution.colours import plan_attributes
     from voxtool.svo.attribution.fraction import plan_fractions
@@ -203,12 +203,7 @@ def command(
 
             client = stack.enter_context(connected(dask, workers))
             parts = run.stage("plan windows", spread, job, client, run.device_name, merged=dag)
-        elif (
-            windows != "never"
-            and not thin
-            and run.file_format == "svo.h5"
-            and not fits(job, dag)
-        ):
+        elif windows != "never" and not thin and run.file_format == "svo.h5" and not fits(job, dag):
             parts = run.stage("plan windows", windows_of, job, dag)
         if parts and dag and run.to_stdout and not dask:
             octree = run.job(parts, **placed)
@@ -232,7 +227,7 @@ def check_attributes(names: Sequence[str], others: dict[str, bool]) -> None:
     """Refuse options that do not go with --attributes."""
     given = [name for name, is_given in others.items() if is_given]
     if names and given:
-        raise click.UsageError(f"--attributes are of octrees in one piece: drop {given[0]}")
+        raise click.UsageError(f"--attributes: not with {given[0]}: drop one")
     if len(set(names)) < len(names):
         raise click.UsageError(f"--attributes {','.join(names)}: name each once")
 
@@ -265,9 +260,12 @@ def windows_of(job: VoxelizeJob, dag: bool) -> WindowsJob | None:
     """Return the job in windows, with `dag` merged, or None if windows do not fit either."""
     from voxtool.tiles.plan import plan_windows
 
-    with suppress(MemoryLimitError):
+    try:
         return plan_windows(job, merged=dag)
-    return None
+    except OnePieceError:
+        raise
+    except MemoryLimitError:
+        return None
 
 
 def facts_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:

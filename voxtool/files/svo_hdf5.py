@@ -185,7 +185,7 @@ def _names(stored: np.ndarray) -> tuple[str, ...]:
 
 
 def _flat(octree: Octree) -> SimpleNamespace:
-    """An octree, which may come in blocks, with its attributes under the names of their datasets."""
+    """An octree, also in blocks, with its attributes under the names of their datasets."""
     flat = SimpleNamespace(**{item.name: getattr(octree, item.name) for item in fields(Octree)})
     flat.depth, flat.attributes = octree.depth, {one.name: one.head for one in octree.attributes}
     for name in KINDS:

@@ -2,9 +2,9 @@
 
 `NAME.windows` holds `windows.jsonl`: a line that says of which request, then one for each finished
 window; and the files of each, the states of its nodes, blocks of its bricks, and the arrays of its
-attributes as they are in memory. Processes of a cluster that see the folder write their windows into it. A killed run leaves
-the folder, and the next one takes what is whole: a window counts if its files have the SHA-256 that
-its line says.
+attributes as they are in memory. Processes of a cluster that see the folder write their windows
+into it. A killed run leaves the folder, and the next one takes what is whole: a window counts if
+its files have the SHA-256 that its line says.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ Key = tuple[int, int, int, int]  # the window's low corner and its side, in voxe
 @dataclass(frozen=True)
 class Window:
     """The content of a window: the states of its nodes by level, from the root down, its bricks,
-    the number of its voxels, and their attributes; what else is to be known of it, in JSON types."""
+    the number of its voxels, and their attributes; `known` is what else its job has to know of it,
+    in JSON types."""
 
     levels: Sequence[np.ndarray]
     bricks: np.ndarray
@@ -103,7 +104,7 @@ class Windows:
             else:
                 self.remove()
             self._check_room(needed)
-            if not self._lines:
+            if not self._journal.exists():
                 self.remove()
                 self.folder.mkdir()
                 self._write(self.place[1])

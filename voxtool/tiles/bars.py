@@ -59,7 +59,7 @@ def cubes_along(octree: Octree, side: int, axis: int) -> Iterator[Cube]:
         if level < above:  # it lies in a leaf
             leaf = leaf_subtree(side, int(levels[0][0]))
             none = [one[:0] for one in labels[1 : len(leaf.levels)]]
-            tree = Subtree(leaf.levels, 0, tuple([*labels[:1], *none]))
+            tree = Subtree(leaf.levels, 0, (*labels[:1], *none))
         yield Cube(tree, first, last)
 
 

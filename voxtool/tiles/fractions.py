@@ -153,11 +153,11 @@ class BarsJob(WindowsJob):
                     job = self._job_of(bar)
                     if job is None:
                         continue
-                    if job.shortage:
+                    if shortage := self._shortage(job):
                         if side > LEAST:
                             return None
                         raise MemoryLimitError(
-                            f"a bar of {side} x {side} voxels along {AXES[axis]} {job.shortage}: "
+                            f"a bar of {side} x {side} voxels along {AXES[axis]} {shortage}: "
                             "allow more, or choose a smaller dim"
                         )
                     found.append(replace(bar, plan=job.plan))
@@ -290,13 +290,12 @@ class FractionWindowsJob(BarsJob):
         if found.faces is not None:
             parts = [found.faces[voxels, :2]]
             for store in self._shares.values():
-                pairs = np.concatenate([np.empty(0, np.uint64), *store.bricks(key)])
+                stored = store.bricks(key) if key in store else ()  # of a bar without faces
+                pairs = np.concatenate([np.empty(0, np.uint64), *stored])
                 parts.append(pairs.view(np.uint32).reshape(-1, 2))
             faces = np.concatenate(parts, axis=1)
             cut = _cut(touched, (shares > 0) & (faces != WHOLE).any(axis=1))
-        return Shares(
-            touched, found.bricks[bricks], found.partial[bricks], shares, faces, cut, 0
-        )
+        return Shares(touched, found.bricks[bricks], found.partial[bricks], shares, faces, cut, 0)
 
     def findings(self, octree: BlockOctree) -> Iterator[str]:
         """Yield warnings, those of the octree in one piece."""

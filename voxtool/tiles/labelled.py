@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.arrays import digest_of
-from voxtool.errors import MemoryLimitError
+from voxtool.errors import OnePieceError
 from voxtool.files.windows import Key, Window
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.labels import PartLabelsJob, fill_of
@@ -28,7 +28,7 @@ class LabelWindowsJob(WindowsJob):
         flooded = np.flatnonzero(self._parts.with_rule("flood"))
         if len(flooded):
             name = whole.plan.names[self._parts.own.of[flooded[0]]]
-            raise MemoryLimitError(
+            raise OnePieceError(
                 f"part {name} is filled by flood, which is not made in windows beside other parts: "
                 "allow more (see --max-memory), choose another --fill, or voxelize it by itself"
             )

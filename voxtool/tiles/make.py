@@ -21,10 +21,10 @@ from voxtool.svo.content import OctreeContent
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tiles.combining import CombineWindowsJob
-from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.operations import OperationJob
+from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.spread import spread
 from voxtool.tiles.windows import WindowsJob
 

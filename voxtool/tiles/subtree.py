@@ -2,7 +2,7 @@
 
 A window of a grid, a cube whose side is a power of two and whose corner is a multiple of it, is a
 subtree of the grid's octree: voxelized by itself it has the same nodes and bricks. The states of
-its nodes are all that is kept of a window until the octree is written (svo/links.py), and the labels
+its nodes are all that is kept of a window until the octree is written (svo/links.py), and labels
 of its full leaves; its bricks wait elsewhere, in the order of the windows.
 """
 

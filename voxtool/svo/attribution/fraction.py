@@ -236,7 +236,7 @@ class FractionJob(Job[Octree]):
     def with_(self, **decisions: Any) -> Self:
         """Return a copy of the job with fields of its plan, or of its solid's, replaced."""
         job = copy.copy(self)
-        job.__dict__.pop("mesh_volume", None)
+        vars(job).pop("mesh_volume", None)  # which depends on the caps
         own = {"kind": decisions.pop("kind")} if "kind" in decisions else {}
         job.solid = self.solid.with_(**decisions)
         job.plan = replace(self.plan, solid=job.solid.plan, **own)

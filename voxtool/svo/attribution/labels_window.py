@@ -46,7 +46,7 @@ class PartsOfWindows:
             rules = dict.fromkeys(whole.atlas.parts.tolist(), (plan.fill, plan.gap))
         faces = own.faces.copy()
         for (part, _), job in zip(whole.plan.alone, rest, strict=True):
-            plan = getattr(job.plan, "solid", job.plan)  # of fractions, that of the solid
+            plan = getattr(job, "solid", job).plan  # of fractions, that of the solid
             rules[part] = plan.fill, plan.gap
             first = np.int32(np.searchsorted(own.part_of, part))
             faces[own.of == part] = job.mesh.faces + first
