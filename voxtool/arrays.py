@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any
@@ -30,13 +31,33 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Slices:
-    """A one-dimensional array that is not in memory: a slice of it is read when it is asked for."""
+    """An array that is not in memory: a slice of it is read when it is asked for.
+
+    row : the shape of an item; () of a one-dimensional array.
+    """
 
     size: int
     read: Callable[[int, int], np.ndarray]  # the items from one index up to another one
+    dtype: np.dtype
+    row: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         return self.size
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The number of items, and the shape of one."""
+        return self.size, *self.row
+
+    @property
+    def ndim(self) -> int:
+        """The number of axes."""
+        return 1 + len(self.row)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the array."""
+        return math.prod(self.shape) * self.dtype.itemsize
 
     def __getitem__(self, part: slice) -> np.ndarray:
         start, stop, _ = part.indices(self.size)

@@ -103,7 +103,7 @@ def _slices(dataset: Any) -> Slices:
                 dataset.read(h5py.h5s.create_simple(array.shape), stored, array)
         return array
 
-    return Slices(size, read)
+    return Slices(size, read, dataset.dtype, tuple(row))
 
 
 @contextmanager

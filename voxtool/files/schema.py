@@ -173,7 +173,10 @@ class Dataset:
     def decode(self, array: Any) -> Any:
         """The array, or Slices, in Python of a stored one."""
         if isinstance(array, Slices):
-            return Slices(array.size, lambda start, stop: self.decode(array.read(start, stop)))
+            kept = (array.dtype, array.row) if self.rows is None else (self.rows, ())
+            return Slices(
+                array.size, lambda start, stop: self.decode(array.read(start, stop)), *kept
+            )
         return array if self.rows is None else array.view(self.rows).reshape(-1)
 
 

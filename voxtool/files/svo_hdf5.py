@@ -33,7 +33,7 @@ from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.svo.attributes import KINDS
 from voxtool.svo.attributes import Attribute as VoxelAttribute
-from voxtool.svo.content import StoredOctree
+from voxtool.svo.content import StoredAttributedOctree, StoredOctree
 from voxtool.svo.layout import NODE
 from voxtool.svo.merged import MergedOctree, unpack_links
 from voxtool.svo.octree import Octree
@@ -160,17 +160,22 @@ def _datasets_of(name: str, channels: int) -> tuple[Dataset, ...]:
     )
 
 
-def _build_attributed(values: dict[str, Any], arrays: dict[str, Any]) -> Octree:
+def _build_attributed(
+    values: dict[str, Any], arrays: dict[str, Any]
+) -> Octree | StoredAttributedOctree:
+    stored_in = Octree if isinstance(arrays["nodes"], np.ndarray) else StoredAttributedOctree
     heads = values.pop("attributes")
     found = []
     for name, head in heads.items():
         masks, stored, leaves = (
             arrays.pop(f"{name}_{a}", None) for a in ("masks", "values", "leaves")
         )
+        assert stored is not None
+        assert leaves is not None
         default = tuple(head["default"]) if KINDS[name].channels else head["default"]
-        names = _names(arrays.pop("label_names")) if name == "label" else ()
-        found.append(VoxelAttribute(name, stored, leaves, masks, default, names))  # pyright: ignore[reportArgumentType]
-    return Octree(**arrays, **_content_of(values), attributes=tuple(found))
+        names = _names(arrays.pop("label_names")[:]) if name == "label" else ()
+        found.append(VoxelAttribute(name, stored, leaves[:], masks, default, names))
+    return stored_in(**arrays, **_content_of(values), attributes=tuple(found))
 
 
 def _names(stored: np.ndarray) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ these have values; the other set voxels have the attribute's default.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from voxtool.arrays import Data
+from voxtool.arrays import Data, Slices, blocks_of
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.svo.exact_sums import exact_sum
 from voxtool.svo.layout import BRICK, BRICK_SIDE
 
+BLOCK = 1 << 18  # values, or masks, that are read at once
 BITS = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
 
 
@@ -61,7 +62,8 @@ class Attribute(Data):
     name : str
         One of KINDS.
     values : (V,) or (V, channels)
-        Of the voxels that have one, brick by brick, in the order of the bits.
+        Of the voxels that have one, brick by brick, in the order of the bits; these and the masks
+        may be Slices of a file, which are read in blocks.
     leaves : (L,) or (L, channels), of the same dtype
         Of the inside leaves above level 0, in the order of the nodes; L is 0 if all of them have
         the default.
@@ -79,9 +81,9 @@ class Attribute(Data):
     """
 
     name: str
-    values: np.ndarray
+    values: Any
     leaves: np.ndarray
-    masks: np.ndarray | None = None
+    masks: Any = None
     default: Any = 0
     names: tuple[str, ...] = ()
 
@@ -134,14 +136,14 @@ class Attribute(Data):
         return {**self.head, "names": list(self.names)}
 
     @property
-    def arrays(self) -> list[np.ndarray]:
+    def arrays(self) -> list[Any]:
         """The arrays, in the order of digests and files."""
         return [*([] if self.masks is None else [self.masks]), self.values, self.leaves]
 
     @property
     def total(self) -> Fraction:
         """The exact sum of the values of voxels, which are single numbers."""
-        return exact_sum(self.values)
+        return sum(map(exact_sum, blocks_of(self.values, BLOCK)), Fraction(0))
 
     def summary(self) -> dict[str, Any]:
         """Return the type, sizes and names in JSON types; of areas also their sum."""
@@ -154,15 +156,15 @@ class Attribute(Data):
         """The default as a value, () or (channels,) of the dtype."""
         return np.broadcast_to(np.asarray(self.default, self.values.dtype), self.values.shape[1:])
 
-    def held(self, bricks: np.ndarray) -> np.ndarray:
+    def held(self, bricks: Any) -> Any:
         """Return the masks of the voxels that have values, (M,) uint64, given the bricks."""
         return bricks if self.masks is None else self.masks
 
-    def starts(self, bricks: np.ndarray) -> np.ndarray:
+    def starts(self, bricks: Any) -> np.ndarray:
         """Return the index of the first value of each brick, and the number of values, (M + 1,)
         int64, given the bricks."""
-        counts = np.bitwise_count(self.held(bricks))
-        return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+        counts = [np.bitwise_count(block) for block in blocks_of(self.held(bricks), BLOCK)]
+        return np.cumsum(np.concatenate([np.zeros(1, np.uint8), *counts]), dtype=np.int64)
 
 
 class Values:
@@ -176,7 +178,7 @@ class Values:
         The octree's bricks.
     """
 
-    def __init__(self, attribute: Attribute, bricks: np.ndarray) -> None:
+    def __init__(self, attribute: Attribute, bricks: Any) -> None:
         self.attribute, self.bricks = attribute, bricks
 
     @cached_property
@@ -190,16 +192,20 @@ class Values:
         Parameters
         ----------
         places : slice or (n,) int
-            The bricks' indices.
+            The bricks' indices; a slice if the values stay in a file.
         """
         attribute = self.attribute
         set_, held = self.bricks[places], attribute.held(self.bricks)[places]
         bits = (held[:, None] & BITS) != 0
-        places_of = self._starts[:-1][places][:, None] + np.cumsum(bits, axis=1) - 1
+        starts, stored = self._starts[:-1][places], attribute.values
+        if isinstance(stored, Slices):
+            first, last, _ = places.indices(len(self.bricks))
+            stored, starts = stored[self._starts[first] : self._starts[last]], starts - starts[:1]
+        places_of = starts[:, None] + np.cumsum(bits, axis=1) - 1
         found = np.zeros((*bits.shape, *attribute.values.shape[1:]), attribute.values.dtype)
         if attribute.masks is not None:
             found[(set_[:, None] & BITS) != 0] = attribute.blank
-        found[bits] = attribute.values[places_of[bits]]
+        found[bits] = stored[places_of[bits]]
         return found
 
     def of_leaves(self, n: int) -> np.ndarray:
@@ -209,9 +215,7 @@ class Values:
         return np.broadcast_to(self.attribute.blank, (n, *self.attribute.values.shape[1:]))
 
 
-def check_attributes(
-    attributes: Sequence[Attribute], bricks: np.ndarray, inside_leaves: int
-) -> None:
+def check_attributes(attributes: Sequence[Attribute], bricks: Any, inside_leaves: int) -> None:
     """Raise FileError if attributes do not fit the bricks and the number of inside leaves."""
     names = [attribute.name for attribute in attributes]
     if len(set(names)) < len(names):
@@ -220,17 +224,23 @@ def check_attributes(
         where = f"octree attribute {one.name}"
         if one.masks is not None and (
             one.masks.dtype != BRICK
-            or one.masks.shape != bricks.shape
-            or (one.masks & ~bricks).any()
+            or len(one.masks) != len(bricks)
+            or any((mask & ~brick).any() for mask, brick in _both(one.masks, bricks))
         ):
             raise FileError(f"{where}: its masks hold voxels that are not set")
-        wanted = int(np.bitwise_count(one.held(bricks)).sum(dtype=np.int64))
+        held = blocks_of(one.held(bricks), BLOCK)
+        wanted = sum(int(np.bitwise_count(block).sum(dtype=np.int64)) for block in held)
         if len(one.values) != wanted:
             raise FileError(f"{where}: {len(one.values)} values for {wanted} voxels")
         if len(one.leaves) not in (0, inside_leaves):
             raise FileError(f"{where}: {len(one.leaves)} values for {inside_leaves} leaves")
-        for array in (one.values, one.leaves, one.blank):
+        for array in (*blocks_of(one.values, BLOCK), one.leaves, one.blank):
             _check_range(where, one, array)
+
+
+def _both(masks: Any, bricks: Any) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield masks and bricks in blocks."""
+    return zip(blocks_of(masks, BLOCK), blocks_of(bricks, BLOCK), strict=True)
 
 
 def _check_range(where: str, attribute: Attribute, array: np.ndarray) -> None:

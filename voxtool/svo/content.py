@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from voxtool.arrays import Slices, blocks_of, digest_of_blocks
+from voxtool.errors import VoxtoolError
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
-from voxtool.svo.attributes import Attribute, check_attributes
+from voxtool.svo.attributes import Attribute, Values, check_attributes
 from voxtool.svo.layout import (
     BRICK_BYTES,
     BRICK_SIDE,
@@ -190,6 +191,13 @@ class OctreeContent:
             "plan": self.plan,
         }
 
+    @property
+    def leaf_sizes(self) -> list[tuple[int, int]]:
+        """The number of inside leaves of each level, from the root down to level 1, and the voxels
+        of one."""
+        levels = list(enumerate(self._counts))[:0:-1]
+        return [(inside, (BRICK_SIDE << number) ** 3) for number, (_, inside, _) in levels]
+
     def digest(self) -> str:
         """Return the SHA-256 of shape, mode, fill, origin, pitch, offsets, nodes and bricks, and of
         attributes if there are any, in little-endian order. Equal content has an equal digest on
@@ -198,7 +206,8 @@ class OctreeContent:
         if self.attributes:
             head["attributes"] = {one.name: one.described for one in self.attributes}
         nodes = blocks_of(self.nodes, BLOCK)
-        values = chain.from_iterable(one.arrays for one in self.attributes)
+        arrays = chain.from_iterable(one.arrays for one in self.attributes)
+        values = chain.from_iterable(blocks_of(array, BLOCK) for array in arrays)
         return digest_of_blocks(head, chain([self.offsets], nodes, self.brick_blocks(), values))
 
     def set_digest(self) -> str:
@@ -227,6 +236,43 @@ class OctreeContent:
         if self.attributes:
             leaves = sum(inside for _, inside, _ in self._counts)
             check_attributes(self.attributes, self.bricks, leaves)
+
+
+class AttributedContent(OctreeContent):
+    """What an octree holds whose set voxels may have attributes."""
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts and sizes in JSON types, in world units; of labels also the voxels and the
+        volume of each; of fractions the volume is their sum. See OctreeContent."""
+        info, cell = super().summary(), self.grid.voxel_volume
+        if "fraction" in info["attributes"]:
+            from voxtool.svo.stored_volume import stored_volume  # which imports this module
+
+            info["volume"] = stored_volume(self) * cell
+        if "label" in info["attributes"]:
+            from voxtool.svo.label_counts import label_counts  # which imports this module
+
+            counts, volumes = (numbers.tolist() for numbers in label_counts(self))
+            rows = zip(self.attribute("label").names, counts, volumes, strict=True)
+            info["attributes"]["label"]["labels"] = [
+                {"label": label, "name": name, "voxels": count, "volume": volume * cell}
+                for label, (name, count, volume) in enumerate(rows)
+            ]
+        return info
+
+    def attribute(self, name: str) -> Attribute:
+        """Return the attribute of a name; VoxtoolError if the octree has none."""
+        for attribute in self.attributes:
+            if attribute.name == name:
+                return attribute
+        known = ", ".join(attribute.name for attribute in self.attributes) or "none"
+        raise VoxtoolError(
+            f"the octree has no attribute {name!r}, it has {known}: voxelize with it"
+        )
+
+    def values(self, name: str) -> Values:
+        """Return the values of an attribute, brick by brick; VoxtoolError if it has none."""
+        return Values(self.attribute(name), self.bricks)
 
 
 def _tightened(box: np.ndarray, cells: np.ndarray, masks: np.ndarray) -> np.ndarray:
@@ -258,3 +304,10 @@ class StoredOctree(OctreeContent):
     def __post_init__(self) -> None:
         object.__setattr__(self, "offsets", self.offsets[:])
         check_sizes(self)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredAttributedOctree(AttributedContent, StoredOctree):
+    """An octree whose nodes and bricks stay in a file, and whose attributes' values do."""
+
+    attributes: tuple[Attribute, ...] = ()

@@ -6,10 +6,10 @@ import numpy as np
 
 from voxtool.svo.attribute_levels import BRICKS
 from voxtool.svo.attributes import BITS
-from voxtool.svo.octree import Octree
+from voxtool.svo.content import AttributedContent
 
 
-def label_counts(octree: Octree) -> tuple[np.ndarray, np.ndarray]:
+def label_counts(octree: AttributedContent) -> tuple[np.ndarray, np.ndarray]:
     """Return the set voxels of each label of an octree that has labels, (names,) int64, and their
     volumes in voxels, (names,) float64: with fractions the sums of these."""
     label, values = octree.attribute("label"), octree.values("label")
@@ -18,13 +18,12 @@ def label_counts(octree: Octree) -> tuple[np.ndarray, np.ndarray]:
     found, volumes = np.zeros(most, np.int64), np.zeros(most)
     for first in range(0, len(octree.bricks), BRICKS):
         part = slice(first, first + BRICKS)
-        set_ = (octree.bricks[part, None] & BITS) != 0
+        set_ = (octree.bricks[part][:, None] & BITS) != 0
         held = values.of_bricks(part)[set_]
         found += np.bincount(held, minlength=most)
         for own in shares:
             volumes += np.bincount(held, own.of_bricks(part)[set_], most)
-    above = [level for level in octree.levels() if level.number]
-    sizes = [np.full(int(level.inside.sum()), level.side**3) for level in above]
+    sizes = [np.full(count, size, np.int64) for count, size in octree.leaf_sizes]
     cubes = np.concatenate([np.empty(0, np.int64), *sizes])
     np.add.at(found, values.of_leaves(len(cubes)), cubes)
     for own in shares:

@@ -24,8 +24,8 @@ from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
-from voxtool.svo.attributes import Attribute, Values
-from voxtool.svo.content import OctreeContent, StoredOctree
+from voxtool.svo.attributes import Attribute
+from voxtool.svo.content import AttributedContent, OctreeContent, StoredOctree
 from voxtool.svo.layout import (
     BRICK,
     BRICK_SIDE,
@@ -104,7 +104,7 @@ class PointQueries:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Octree(PointQueries, OctreeContent, Data):
+class Octree(PointQueries, AttributedContent, Data):
     """A set of voxels of a grid, which may have attributes.
 
     Two octrees are equal if they have one grid and set the same voxels, whatever their mode, fill
@@ -268,40 +268,6 @@ class Octree(PointQueries, OctreeContent, Data):
         check_memory(octree.nbytes, "the octree's arrays", "choose a smaller file")
         values = {item.name: getattr(octree, item.name) for item in fields(octree)}
         return cls(**values | {name: values[name][:] for name in ("nodes", "bricks")})
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts and sizes in JSON types, in world units; of labels also the voxels and the
-        volume of each; of fractions the volume is their sum. See OctreeContent."""
-        info = super().summary()
-        if "fraction" in info["attributes"]:
-            from voxtool.svo.stored_volume import stored_volume  # which imports this module
-
-            info["volume"] = stored_volume(self) * self.grid.voxel_volume
-        if "label" in info["attributes"]:
-            from voxtool.svo.label_counts import label_counts  # which imports this module
-
-            counts, volumes = (numbers.tolist() for numbers in label_counts(self))
-            rows = zip(self.attribute("label").names, counts, volumes, strict=True)
-            info["attributes"]["label"]["labels"] = [
-                {"label": label, "name": name, "voxels": count,
-                 "volume": volume * self.grid.voxel_volume}
-                for label, (name, count, volume) in enumerate(rows)
-            ]  # fmt: skip
-        return info
-
-    def attribute(self, name: str) -> Attribute:
-        """Return the attribute of a name; VoxtoolError if the octree has none."""
-        for attribute in self.attributes:
-            if attribute.name == name:
-                return attribute
-        known = ", ".join(attribute.name for attribute in self.attributes) or "none"
-        raise VoxtoolError(
-            f"the octree has no attribute {name!r}, it has {known}: voxelize with it"
-        )
-
-    def values(self, name: str) -> Values:
-        """Return the values of an attribute, brick by brick; VoxtoolError if it has none."""
-        return Values(self.attribute(name), self.bricks)
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.grid.shape))

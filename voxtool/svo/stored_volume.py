@@ -16,7 +16,7 @@ def stored_volume(octree: Any) -> float:
 
     Parameters
     ----------
-    octree : Octree, or BlockOctree once it has been written.
+    octree : one with attributes, or a BlockOctree once it has been written.
     """
     fraction = octree.attribute("fraction")
     dtype = fraction.leaves.dtype
@@ -24,9 +24,8 @@ def stored_volume(octree: Any) -> float:
     total, rest = fraction.total, octree.count - len(fraction.values)
     if len(fraction.leaves):
         start = 0
-        for level in octree.levels()[:-1]:
-            stop = start + int(level.inside.sum())
-            total += exact_sum(fraction.leaves[start:stop]) * level.side**3
-            rest -= (stop - start) * level.side**3
-            start = stop
+        for count, size in octree.leaf_sizes:
+            total += exact_sum(fraction.leaves[start : start + count]) * size
+            rest -= count * size
+            start += count
     return float((total + rest * exact_sum(fraction.blank[None])) / unit)
