@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import meshes
 import numpy as np
@@ -17,7 +17,9 @@ from meshes import UNIT
 from svo.test_voxelize import lattice_grid, lattice_mesh
 from tiles.test_flooding import scraps
 
-from voxtool.errors import MemoryLimitError
+import voxtool
+from voxtool import tiles
+from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.files import read_svo, write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.files.windows import Windows
@@ -264,6 +266,33 @@ def test_nothing_between_two_boxes(what: str, check, tmp_path, device: Device) -
             made = job.run()
             write_svo(made, tmp_path / "b.svo.h5")
     assert made.digest() == octree.digest()
+
+
+# ---- in Python
+
+CALLS = {
+    "attributes": {"mode": "surface26", "attributes": ("normal",)},
+    "labels": {"labels": "part", "priority": "last", "with_surface": True},
+    "fractions": {"mode": "fraction", "fraction_type": "u1", "face_fractions": True},
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_windows_in_python(name: str, models: Path, tmp_path, device: Device) -> None:
+    call = {"dim": 300, "device": device, **CALLS[name]}
+    mesh = models / "parts.glb"
+    whole = voxtool.voxelize(mesh, **call)
+    limit = int(0.7 * voxtool.plan_voxelize(mesh, **call).cost.device)
+    found = tiles.voxelize(mesh, max_memory=limit, **call)
+    assert found == whole
+    target = tmp_path / "a.svo.h5"
+    written = tiles.voxelize(mesh, max_memory=limit, file=target, **call)
+    assert written.digest() == whole.digest() == read_svo(target).digest()
+
+
+def test_clusters_make_no_attributes(models: Path) -> None:
+    with pytest.raises(VoxtoolError, match="octrees without attributes: drop the client"):
+        tiles.voxelize(models / "bunny.obj", labels="shell", client=cast("Any", object()))
 
 
 # ---- the command line

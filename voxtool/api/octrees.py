@@ -14,10 +14,7 @@ from voxtool.choices import (
     COLOURS,
     DEFAULT_MODE,
     FILLS,
-    FRACTION,
-    FRACTION_TYPES,
     LABEL_STYLES,
-    NAMED,
     NORMALIZED,
     OPERATIONS,
     PRIORITIES,
@@ -38,11 +35,10 @@ from voxtool.report import Report
 from voxtool.spatial import orientation
 from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
-from voxtool.svo import voxelize as svo
-from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
-from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
-from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
-from voxtool.svo.attribution.part_fractions import plan_part_fractions
+from voxtool.svo.attribution.colours import SurfaceAttributesJob
+from voxtool.svo.attribution.fraction import FractionJob
+from voxtool.svo.attribution.labels import PartLabelsJob
+from voxtool.svo.attribution.request import kept_for, plan_octree
 from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.octree import Octree
@@ -185,38 +181,14 @@ def plan_voxelize(
     >>> octree = voxtool.voxelize("bunny.obj", dim=128)
     >>> octree.count, octree.digest()
     """
-    keep = ("appearance",) * ("colour" in attributes) + ("parts",) * (labels in NAMED)
-    found = as_mesh(mesh, max_memory, keep)
+    found = as_mesh(mesh, max_memory, kept_for(labels, attributes))
     placed = grid_of(found, grid, dim, pitch)
-    if mode == FRACTION:
-        if with_surface or gap or attributes:
-            raise VoxtoolError("mode 'fraction' has no surface, gap and attributes: drop them")
-        options: Any = {"fill": fill, "kind": fraction_type or FRACTION_TYPES[0]}
-        options |= {"device": device, "max_memory": max_memory}
-        if labels is None:
-            return plan_fractions(found, placed, faces=face_fractions, window=window, **options)
-        if face_fractions or window is not None:
-            raise VoxtoolError("fractions of labels are of whole grids, and not of faces: drop "
-                               "face_fractions and the window")  # fmt: skip
-        return plan_part_fractions(found, placed, labels=labels, priority=priority, **options)
-    if fraction_type is not None or face_fractions:
-        name = "face_fractions" if face_fractions else "fraction_type"
-        raise VoxtoolError(f"{name} goes with mode 'fraction', not {mode!r}")
-    if labels is not None:
-        if window is not None:
-            raise VoxtoolError("labels take the whole grid: drop the window")
-        job = plan_labels(
-            found, placed, mode, labels=labels, priority=priority, fill=fill, gap=gap,
-            with_surface=with_surface, device=device, max_memory=max_memory,
-        )  # fmt: skip
-    else:
-        job = svo.plan_voxelize(
-            found, placed, mode, fill=fill, gap=gap, with_surface=with_surface, window=window,
-            device=device, max_memory=max_memory,
-        )  # fmt: skip
-    if not attributes:
-        return job
-    return plan_attributes(job, found, attributes, colour=colour, max_memory=max_memory)
+    return plan_octree(
+        found, placed, mode, fill=fill, gap=gap, with_surface=with_surface,
+        fraction_type=fraction_type, face_fractions=face_fractions, labels=labels,
+        priority=priority, attributes=attributes, colour=colour, window=window, device=device,
+        max_memory=max_memory,
+    )  # fmt: skip
 
 
 voxelize = one_call(plan_voxelize, "voxelize", Octree)

@@ -18,7 +18,6 @@ from voxtool.choices import (
     FRACTION_TYPES,
     LABELS,
     MODES,
-    NAMED,
     PRIORITIES,
 )
 from voxtool.cli import options, runner
@@ -154,13 +153,9 @@ def command(
     if labels and (dag or thin or dask):
         raise click.UsageError("--labels: not with --dag, --thin and --dask: drop them")
     from voxtool.files import SVO_FORMATS, export, write_svo
-    from voxtool.svo.attribution.colours import plan_attributes
-    from voxtool.svo.attribution.fraction import plan_fractions
-    from voxtool.svo.attribution.labels import plan_labels
-    from voxtool.svo.attribution.part_fractions import plan_part_fractions
+    from voxtool.svo.attribution.request import kept_for, plan_octree
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.thin import plan_thin
-    from voxtool.svo.voxelize import plan_voxelize
 
     run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
     if dask and run.file_format != "svo.h5":
@@ -176,25 +171,14 @@ def command(
     if doctype and "xml" not in str(run.file_format):
         raise click.UsageError("--doctype goes with .svo.xml and .voccel.xml: name one with -o")
     with run, ExitStack() as stack:
-        keep = (*("parts",) * (labels in NAMED), *("appearance",) * ("colour" in attributes))
+        keep = kept_for(labels, attributes)
         loaded = run.meshes((mesh, *others), units, scale, normalize, keep)
         grid = options.grid_from(loaded, like, placing)
-        request = {"fill": fill, "gap": gap, "with_surface": with_surface}
-        job: Any
-        if mode == FRACTION:
-            request = {"fill": fill, "kind": fraction_type or FRACTION_TYPES[0]}
-            if labels:
-                request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
-                job = run.plan(plan_part_fractions, loaded, grid, **request)
-            else:
-                job = run.plan(plan_fractions, loaded, grid, faces=face_fractions, **request)
-        elif labels:
-            request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
-            job = run.plan(plan_labels, loaded, grid, mode, **request)
-        else:
-            job = run.plan(plan_voxelize, loaded, grid, mode, **request)
-        if attributes:
-            job = run.plan(plan_attributes, job, loaded, attributes, colour=colour or COLOURS[0])
+        request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
+        request |= {"fraction_type": fraction_type, "face_fractions": face_fractions}
+        request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
+        request |= {"attributes": attributes, "colour": colour or COLOURS[0]}
+        job: Any = run.plan(plan_octree, loaded, grid, mode, **request)
         placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
         parts = None
         if dask:

@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from voxtool.choices import DEFAULT_MODE, ELEMENTS, OPERATIONS
-from voxtool.errors import GridError
+from voxtool.choices import COLOURS, DEFAULT_MODE, ELEMENTS, OPERATIONS, PRIORITIES
+from voxtool.errors import GridError, VoxtoolError
 from voxtool.files import write_svo
 from voxtool.files.mesh import as_mesh
 from voxtool.files.windows import Windows
 from voxtool.grid import Grid
+from voxtool.mesh.appearance import Parts
 from voxtool.opencl import Device, default_device
+from voxtool.svo.attribution.request import kept_for, plan_octree
 from voxtool.svo.booleans import plan_combine
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.combining import CombineWindowsJob
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree
@@ -45,6 +47,12 @@ def voxelize(
     fill: str = "auto",
     gap: int = 0,
     with_surface: bool = False,
+    fraction_type: str | None = None,
+    face_fractions: bool = False,
+    labels: str | Parts | None = None,
+    priority: str | Sequence[str] = PRIORITIES[0],
+    attributes: Sequence[str] = (),
+    colour: str = COLOURS[0],
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> Octree | BlockOctree:
@@ -52,10 +60,12 @@ def voxelize(
 
     Parameters
     ----------
-    mesh, grid, mode, dim, pitch, fill, gap, with_surface
+    mesh, grid, mode, dim, pitch, fill, gap, with_surface, fraction_type, face_fractions, labels,
+    priority, attributes, colour
         As for `voxtool.voxelize`.
     client
         A `distributed.Client`, whose workers make the windows; this process makes them by default.
+        Not with attributes.
     file
         A .svo.h5 to write. Then the octree need not fit in memory.
     resume
@@ -83,13 +93,22 @@ def voxelize(
     >>> with distributed.Client("tcp://host:8786") as client:
     ...     voxtool.tiles.voxelize("bunny.obj", dim=16384, client=client, file="bunny.svo.h5")
     """
-    found = as_mesh(mesh, max_memory)
+    found = as_mesh(mesh, max_memory, kept_for(labels, attributes))
     if grid and (dim or pitch):
         raise GridError("a grid has its own dim and pitch: drop dim= and pitch=, or the grid")
     grid = grid or Grid.fit(found, dim, pitch=pitch)
-    request = {"fill": fill, "gap": gap, "with_surface": with_surface}
-    whole = plan_voxelize(found, grid, mode, device=device, max_memory=max_memory, **request)
-    job = spread(whole, client) if client else plan_windows(whole)
+    whole = plan_octree(
+        found, grid, mode, fill=fill, gap=gap, with_surface=with_surface,
+        fraction_type=fraction_type, face_fractions=face_fractions, labels=labels,
+        priority=priority, attributes=attributes, colour=colour, device=device,
+        max_memory=max_memory,
+    )  # fmt: skip
+    if client is None:
+        job = plan_windows(whole)
+    elif isinstance(whole, VoxelizeJob):
+        job = spread(whole, client)
+    else:
+        raise VoxtoolError("workers of a cluster make octrees without attributes: drop the client")
     if file is not None:
         return _written(job, file, resume)
     with tempfile.TemporaryDirectory(prefix="voxtool-") as folder:
@@ -184,4 +203,6 @@ def in_memory(octree: BlockOctree) -> Octree:
     blocks = octree.nodes, octree.bricks
     nodes, bricks = (np.concatenate([np.empty(0, x.dtype), *x.blocks]) for x in blocks)
     about = octree.plan, octree.source_sha256, octree.units, octree.transform
-    return Octree(octree.grid, octree.mode, octree.fill, octree.offsets, nodes, bricks, *about)
+    attributes = tuple(one.in_memory() for one in octree.attributes)
+    arrays = octree.offsets, nodes, bricks
+    return Octree(octree.grid, octree.mode, octree.fill, *arrays, *about, attributes)

@@ -86,6 +86,12 @@ class BlockAttribute:
             yield block
         yield self.leaves
 
+    def in_memory(self) -> Attribute:
+        """Return the attribute in memory."""
+        masks = self.masks
+        arrays = _joined(self.values), self.leaves, None if masks is None else _joined(masks)
+        return Attribute(self.name, *arrays, self.default, self.names)
+
     def _arrays(self, part: str) -> Iterator[np.ndarray]:
         for key in self._keys:
             yield from self._store.array(key, self.name, part)
@@ -95,6 +101,11 @@ class BlockAttribute:
         for key in self._keys:
             yield from self._store.array(key, self.name, "values")
             self._store.drop(key, self.name, "values")
+
+
+def _joined(array: Blocks) -> np.ndarray:
+    """Return an array that comes in blocks."""
+    return np.concatenate([np.empty((0, *array.row), array.dtype), *array.blocks])
 
 
 @dataclass

@@ -318,3 +318,13 @@ def test_a_path_is_read_with_its_parts(tmp_path) -> None:
     path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\ng tip\n{faces}")
     octree = voxtool.voxelize(path, dim=16, labels="part")
     assert octree.attribute("label").names == ("tip",)
+
+
+def test_large_faces_that_repeat_others(device) -> None:
+    """Boxes that share whole faces, which are so large that repeated ones would be left out."""
+    corners = [(1, 1, 1), (15, 1, 1), (15, 15, 1)]
+    solids = [meshes.box(np.array(low) * 256, (np.array(low) + 14) * 256) for low in corners]
+    mesh, parts = lattice_mesh(solids)
+    grid = voxtool.Grid((32, 32, 32), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    job = plan_labels(mesh, grid, "surface26", labels=parts, device=device)
+    assert check_areas(job, "surface26", label_array(job.run())) > 300

@@ -1,0 +1,73 @@
+"""Which job makes an octree, with the attributes that are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from voxtool.choices import COLOURS, FILLS, FRACTION, FRACTION_TYPES, NAMED, PRIORITIES
+from voxtool.errors import VoxtoolError
+from voxtool.grid import Grid
+from voxtool.mesh.appearance import Parts
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Device
+from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
+from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
+from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
+from voxtool.svo.attribution.part_fractions import plan_part_fractions
+from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
+
+
+def plan_octree(
+    mesh: Mesh,
+    grid: Grid,
+    mode: str,
+    *,
+    fill: str = FILLS[0],
+    gap: int = 0,
+    with_surface: bool = False,
+    fraction_type: str | None = None,
+    face_fractions: bool = False,
+    labels: str | Parts | None = None,
+    priority: str | Sequence[str] = PRIORITIES[0],
+    attributes: Sequence[str] = (),
+    colour: str = COLOURS[0],
+    window: Window | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> VoxelizeJob | PartLabelsJob | SurfaceAttributesJob | FractionJob:
+    """Return the planned job of `voxtool.voxelize`."""
+    if mode == FRACTION:
+        if with_surface or gap or attributes:
+            raise VoxtoolError("mode 'fraction' has no surface, gap and attributes: drop them")
+        options: Any = {"fill": fill, "kind": fraction_type or FRACTION_TYPES[0]}
+        options |= {"device": device, "max_memory": max_memory}
+        if labels is None:
+            return plan_fractions(mesh, grid, faces=face_fractions, window=window, **options)
+        if face_fractions or window is not None:
+            raise VoxtoolError("fractions of labels are of whole grids, and not of faces: drop "
+                               "face_fractions and the window")  # fmt: skip
+        return plan_part_fractions(mesh, grid, labels=labels, priority=priority, **options)
+    if fraction_type is not None or face_fractions:
+        name = "face_fractions" if face_fractions else "fraction_type"
+        raise VoxtoolError(f"{name} goes with mode 'fraction', not {mode!r}")
+    if labels is not None:
+        if window is not None:
+            raise VoxtoolError("labels take the whole grid: drop the window")
+        job = plan_labels(
+            mesh, grid, mode, labels=labels, priority=priority, fill=fill, gap=gap,
+            with_surface=with_surface, device=device, max_memory=max_memory,
+        )  # fmt: skip
+    else:
+        job = plan_voxelize(
+            mesh, grid, mode, fill=fill, gap=gap, with_surface=with_surface, window=window,
+            device=device, max_memory=max_memory,
+        )  # fmt: skip
+    if not attributes:
+        return job
+    return plan_attributes(job, mesh, attributes, colour=colour, max_memory=max_memory)
+
+
+def kept_for(labels: str | Parts | None, attributes: Sequence[str]) -> tuple[str, ...]:
+    """Return what has to be read of a mesh for labels and attributes beside its triangles."""
+    return ("appearance",) * ("colour" in attributes) + ("parts",) * (labels in NAMED)
