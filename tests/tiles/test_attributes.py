@@ -235,11 +235,11 @@ def test_fractions_that_faces_do_not_bound(seed: int, fill: str, check) -> None:
     assert job.whole.disagreements
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_fractions_of_parts(seed: int, check) -> None:
+@pytest.mark.parametrize(("seed", "kind"), [(0, "f4"), (1, "u1")])
+def test_fractions_of_parts(seed: int, kind: str, check) -> None:
     mesh, parts = boxes(seed, 9)
-    plan = partial(plan_part_fractions, mesh, lattice_grid((200, 170, 190)), labels=parts)
-    check(plan)
+    grid = lattice_grid((200, 170, 190))
+    check(partial(plan_part_fractions, mesh, grid, labels=parts, kind=kind))
 
 
 # ---- windows without voxels

@@ -348,7 +348,7 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
         for part in own.parts.tolist():
             job = plan_fractions(
                 own.alone(part, whole.mesh), self.grid, fill=self._parts.rules[part][0],
-                kind=whole.plan.kind, window=box, device=self.device, max_memory=self.max_memory,
+                window=box, device=self.device, max_memory=self.max_memory,
             )  # fmt: skip
             job.mesh_volume = self._volumes[part]
             if not WindowsJob._sets_nothing(self, job.solid):
