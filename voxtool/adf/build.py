@@ -67,8 +67,8 @@ def plan_adf(
     """Return the job of building the distance field of a mesh.
 
     stores: makes a store where levels and blocks wait that exceed max_memory; without it the field
-    is refused. request: tolerance, max_level, band, continuous, bounds, max_bytes, measure and max_texture, as
-    in voxtool.build_adf.
+    is refused. request: tolerance, max_level, band, continuous, bounds, max_bytes, measure and
+    max_texture, as in voxtool.build_adf.
     """
     plan = FieldPlan(triangles=len(mesh.faces), sign=sign or "", **request)
     survey = Survey(mesh, device or default_device(), signed=sign != "none")
@@ -167,9 +167,8 @@ class FieldJob(Job["DistanceField"]):
     def notes(self, result: DistanceField) -> Iterator[str]:
         """Yield a remark if voxels and levels waited on the disk."""
         if self._plan.stored:
-            yield (
-                f"built in windows: what does not fit in {human(self._memory[0])} waited on the disk"
-            )
+            most = human(self._memory[0])
+            yield f"built in windows: what does not fit in {most} waited on the disk"
 
     def sign_finding(self) -> str:
         """Return why signs by pseudo-normals are uncertain, and what is done; "" if certain."""
@@ -208,8 +207,12 @@ def _programs(survey: Survey, plan: FieldPlan) -> list[Request]:
 
 
 class _Build:
-    """A field under construction: the blocks of the levels built so far, and the next level, in
-    parts that are the refined children of one window each; `ranks` is that of the level above."""
+    """A field under construction: the blocks of the levels built so far, and the next level.
+
+    parts : of the next level, the refined children of one window each; ranks : of the level above.
+    stores : makes a store, or None; waiting : the store of the level that is made, and stored : of
+    all voxels, or None while they are in memory.
+    """
 
     def __init__(
         self,
@@ -219,12 +222,14 @@ class _Build:
         stores: Callable[[], Store] | None,
     ) -> None:
         survey.device.prepare(*_programs(survey, plan))
-        self.work, self.memory, self.stores = Construction(survey, plan), memory, stores
+        self.work, self.memory = Construction(survey, plan), memory
+        self.stores = stores if plan.max_bytes is None else None  # errors of whole levels compare
         root = self.work.root()
-        self.number, self.level, self.ranks = 0, [root], np.zeros(0, np.uint32)
+        self.number, self.ranks = 0, np.zeros(0, np.uint32)
+        self.parts: list[Level | Waiting] = [root]
         self.plan = replace(plan, refined=(1,), items=root.arrays["items"].size)
-        self.waiting: Store | None = None  # of the next level, if it is not in memory
-        self.stored: Store | None = None  # of the voxels, if they are not in memory
+        self.waiting: Store | None = None
+        self.stored: Store | None = None
         self.identifiers: list[np.ndarray] = []
         self.voxels: list[np.ndarray] = []
         self.codes: list[np.ndarray] = []
@@ -233,21 +238,21 @@ class _Build:
 
     def run(self, last: int | None = None) -> None:
         """Build the levels down to `last`, or all."""
-        while self.level and (last is None or self.number <= last):
+        while self.parts and (last is None or self.number <= last):
             self.make_room()
             self.plan.refuse_beyond(*self.memory)
-            parts, flags = [], []
+            flags: list[np.ndarray] = []
+            finer: list[Level | Waiting] = []
             for level in self._windows():
-                refined, finer = self._built(level)
+                refined, children = self._built(level)
                 flags.append(refined)
-                if finer is not None:
-                    parts.append(Waiting.of(finer, self.waiting) if self.waiting else finer)
-            self.ranks = ranks_of(flags)
-            self.number, self.level = self.number + 1, parts
+                if children:
+                    finer.append(Waiting.of(children, self.waiting) if self.waiting else children)
+            self.number, self.parts, self.ranks = self.number + 1, finer, ranks_of(flags)
 
     def make_room(self) -> None:
         """Begin to keep levels and voxels in stores, if they will exceed memory."""
-        if not self.stores or self.plan.max_bytes is not None:
+        if not self.stores:
             return
         self.plan = self.plan.fitting(*self.memory)
         if not self.plan.stored:
@@ -263,8 +268,8 @@ class _Build:
         """Yield the cells of the level in windows, on the device."""
         ranks = self.work.device.put(self.ranks)
         size = self.plan.window if self.plan.max_bytes is None else math.inf
-        while self.level:
-            part = self.level.pop(0)
+        while self.parts:
+            part = self.parts.pop(0)
             level = part.level(self.work.device) if isinstance(part, Waiting) else part
             level.arrays["parent_ranks"] = ranks
             yield from windows_of(level, size)

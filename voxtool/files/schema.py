@@ -127,7 +127,8 @@ class Dataset:
         names the side from here on.
     at : path of the array in the content; by default the name.
     rows : structured dtype of a row in Python, where it has one.
-    pack : the stored array of the content's, or its Blocks, where they differ; the schema's `build` undoes it.
+    pack : the stored array of the content's, or its Blocks, where they differ; the schema's
+        `build` undoes it.
     needed : whether a file has it, from the sizes and from whether it is there.
     """
 
