@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
@@ -274,29 +276,38 @@ class VoxelizePlan:
         rows.append(("work", f"about {self.work:,} voxels and crossings visited"))
         return rows
 
-    def fits(self, max_memory: int, max_allocation: int) -> bool:
-        """True if the work fits in memory and the nodes fit 30-bit links."""
-        return not self.cost.shortage(max_memory, max_allocation) and self.nodes < MAX_LINK
+    def fits(self, max_memory: int, max_allocation: int, cost: Cost | None = None) -> bool:
+        """True if the work fits in memory and the nodes fit 30-bit links; `cost` may be that of
+        more than the octree."""
+        cost = cost or self.cost
+        return not cost.shortage(max_memory, max_allocation) and self.nodes < MAX_LINK
 
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+    def refuse_beyond(
+        self,
+        max_memory: int,
+        max_allocation: int,
+        cost_of: Callable[[VoxelizePlan], Cost] = attrgetter("cost"),
+    ) -> None:
         """Raise MemoryLimitError, which names the largest dim that fits, if the work needs more
-        than max_memory bytes on the device, or max_allocation bytes in one buffer."""
-        if self.fits(max_memory, max_allocation):
+        than max_memory bytes on the device, or max_allocation bytes in one buffer; `cost_of` is the
+        cost of a plan with all that follows from it."""
+        if self.fits(max_memory, max_allocation, cost_of(self)):
             return
         dim = max(self.shape)
         low, high = CELL - 1, dim  # low fits, or is below the least dim
         while high - low > 1:
             middle = (low + high) // 2
             plan = _rescale(self, middle / dim).in_slabs(max_memory, max_allocation)
-            if plan.fits(max_memory, max_allocation):
+            if plan.fits(max_memory, max_allocation, cost_of(plan)):
                 low = middle
             else:
                 high = middle
         hint = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
+        cost = cost_of(self)
         raise MemoryLimitError(
-            f"dim {dim} would need {human(self.cost.device)} of memory "
-            f"({human(self.cost.largest)} in one buffer), of {human(max_memory)} "
-            f"({human(max_allocation)}) allowed: {hint} (see --max-memory)"
+            f"dim {dim} would need {human(cost.device)} of memory ({human(cost.largest)} in one "
+            f"buffer), of {human(max_memory)} ({human(max_allocation)}) allowed: {hint} (see "
+            "--max-memory)"
         )
 
 

@@ -202,8 +202,9 @@ class FractionPlan:
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the job needs more bytes than these, in total or in one
         buffer; the message says which dim would fit."""
-        extra = self.cost.device - self.solid.cost.device
-        self.solid.refuse_beyond(max(max_memory - extra, 0), max_allocation)
+        self.solid.refuse_beyond(
+            max_memory, max_allocation, lambda solid: replace(self, solid=solid).cost
+        )
 
 
 class FractionJob(Job[Octree]):
