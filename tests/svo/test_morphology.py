@@ -12,8 +12,9 @@ from scipy import ndimage
 
 import voxtool
 from voxtool.choices import ELEMENTS, MORPHOLOGY
+from voxtool.svo.cells import cube
 from voxtool.svo.octree import Octree
-from voxtool.svo.tiling import Tiling
+from voxtool.svo.tiling import Box, Tiling
 
 RNG = np.random.default_rng(7)
 SHAPES = ((8, 8, 8), (20, 9, 33), (40, 17, 5))
@@ -59,6 +60,22 @@ def test_operations_are_those_of_scipy(device, shape) -> None:
             else:
                 expected = morphed(dense, operation, radius, element)
                 assert np.array_equal(result.to_dense(), expected), (kind, radius, operation)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_boundary_and_octree_of_a_box(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    block = (16, 16, 32, 64)[seed]
+    dense = np.kron(random.random((128 // block,) * 3) < 0.6, np.ones((block,) * 3, bool))
+    voxels = Tiling.of(Octree.from_dense(dense ^ (random.random(dense.shape) < 1e-4)), 1)
+    low = 16 * random.integers(-2, 6, 3)
+    box = Box(low, low + 16 * random.integers(1, 6, 3))
+    codes = voxels.boundary()
+    assert np.array_equal(voxels.boundary(box), codes[voxels.within(codes, box)])
+    everything = voxels.octree(cube(128), np.zeros(3, int)).to_dense()
+    part = voxels.octree(cube(64), low).to_dense()
+    wide = np.pad(everything, 64)[tuple(slice(64 + a, 128 + a) for a in low)]
+    assert np.array_equal(part, wide)
 
 
 @pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers_cli import fail, run, told
+from helpers_files import memory_below
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from meshes import icosphere
 
 import voxtool
 import voxtool.tiles
@@ -149,6 +151,16 @@ def test_windows_that_do_not_fit_are_divided(device: Device, tmp_path: Path) -> 
     job.max_memory = 1000
     with pytest.raises(MemoryLimitError, match="a window of 64 voxels a side does not fit in 1 kB"):
         made(job, tmp_path, 256)
+
+
+def test_morphology_takes_no_more_memory_than_it_may(device: Device, tmp_path: Path) -> None:
+    limit = 16_000_000
+    octree = voxtool.voxelize(icosphere(3), dim=512, device=device)
+    job = MorphWindowsJob(plan_unread(octree, "close", 4, False, "ball", limit), octree, device,
+                          limit)  # fmt: skip
+    assert job.plan.cost.device + job.plan.cost.host < limit
+    with Windows(str(tmp_path / "x"), job.request) as job.store, memory_below(limit):
+        job.run()
 
 
 def test_large_empty_and_full_space_is_not_read(

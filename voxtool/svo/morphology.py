@@ -32,7 +32,7 @@ from voxtool.svo.attribution.carry import lost, with_attributes
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK, BRICK_BYTES
 from voxtool.svo.octree import Octree
-from voxtool.svo.tiling import BRICKS, TILE, Tiling
+from voxtool.svo.tiling import BRICKS, TILE, Box, Tiling
 
 SOURCE = "svo/morphology.cl"
 NONE = 0xFFFFFFFF  # instead of the index of a tile
@@ -40,6 +40,7 @@ MAX_REACH = 128  # voxels
 SCRATCH = 1 << 26  # bytes of dilated planes at once
 Z_BITS = spread_bits(np.array((1 << 21) - 1)) << np.uint64(2)  # of a Morton code
 TILE_BYTES = 2 * BRICK_BYTES * BRICKS  # bricks and rows
+COPIES = 2  # times TILE_BYTES that the host takes for a tile of the boundary
 MAX_HALO = -(-MAX_REACH // TILE)  # tiles
 HEADERS = {"svo/morphology.h": program.c_constants(MAX_HALO=MAX_HALO, NONE=NONE)}
 
@@ -120,12 +121,13 @@ class Element:
         return (planes + 4) * along + TILE_BYTES
 
 
-def dilate(device: Device, voxels: Tiling, element: Element, batch: int) -> Tiling:
-    """Return a set of voxels dilated by an element, `batch` tiles at a time."""
-    codes = voxels.boundary()
+def dilate(device: Device, voxels: Tiling, element: Element, batch: int, box: Box) -> Tiling:
+    """Return a set of voxels dilated by an element, `batch` tiles at a time; only what lies in the
+    box is right."""
+    codes = voxels.boundary(box.grown(element.reach))
     hx, hy, hz = element.halo
     wanted, planes = voxels.around(codes, element.halo), voxels.around(codes, (hx, hy, 0))
-    wanted = wanted[~voxels.is_full(wanted)]
+    wanted = wanted[~voxels.is_full(wanted) & voxels.within(wanted, box)]
     planes = planes[~voxels.is_full(planes) | among(codes, planes)]
     columns = np.lexsort([wanted & Z_BITS, wanted & ~Z_BITS])  # so that a batch shares planes
     bricks = np.empty((len(wanted), BRICKS), BRICK)
@@ -164,9 +166,9 @@ def _find(device: Device, codes: np.ndarray, around: np.ndarray, halo: tuple[int
     return found
 
 
-def erode(device: Device, voxels: Tiling, element: Element, batch: int) -> Tiling:
-    """Return a set of voxels eroded by an element, `batch` tiles at a time."""
-    return dilate(device, voxels.complement(), element, batch).complement()
+def erode(device: Device, voxels: Tiling, element: Element, batch: int, box: Box) -> Tiling:
+    """Return a set of voxels eroded by an element, as `dilate` dilates it."""
+    return dilate(device, voxels.complement(), element, batch, box).complement()
 
 
 @dataclass(frozen=True)
@@ -196,6 +198,12 @@ class MorphPlan:
         return 2 if self.operation in ("open", "close") else 1
 
     @property
+    def box(self) -> Box:
+        """The cube around the grid of the result, of whole tiles."""
+        low = np.array(self.low)
+        return Box(low, low + max(self.grid.side, TILE))
+
+    @property
     def left_out(self) -> dict[str, str]:
         """The parts that are not compiled, allocated or run, each with the reason."""
         out = {"nodes away from the boundary": "they stay leaves"}
@@ -205,13 +213,13 @@ class MorphPlan:
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
+        """The predicted bytes: the host holds the boundary's tiles a few times, and the bricks of
+        the tiles that they reach."""
         reached = self.tiles * (1 + 2 * max(self.element.halo))
         batch = min(self.batch, max(reached, 1)) * self.element.scratch
         held = self.tiles * TILE_BYTES
-        return Cost(
-            device=held + batch, host=3 * reached * TILE_BYTES, largest=max(held // 2, batch)
-        )
+        host = COPIES * held + reached * BRICK_BYTES * BRICKS
+        return Cost(device=held + batch, host=host, largest=max(held // 2, batch))
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the operation needs more bytes."""
@@ -307,7 +315,7 @@ class MorphJob(Job[Octree]):
     octree : Octree
         The voxels that are changed.
     plan : MorphPlan
-        The decisions.
+        The decisions; what lies beyond its grid is not made.
     """
 
     plan: MorphPlan
@@ -326,10 +334,11 @@ class MorphJob(Job[Octree]):
 
     def _run(self) -> Octree:
         plan, voxels = self.plan, self._voxels
-        for stage in plan.stages[:-1]:
+        for number, stage in enumerate(plan.stages[:-1], 1):
             with self.device.stage(stage):
                 change = dilate if stage == "dilate" else erode
-                voxels = change(self.device, voxels, plan.element, plan.batch)
+                box = plan.box.grown(plan.element.reach, plan.passes - number)
+                voxels = change(self.device, voxels, plan.element, plan.batch, box)
         with self.device.stage("build"):
             if plan.operation == "shell":
                 voxels = self._voxels.intersection(voxels.complement())

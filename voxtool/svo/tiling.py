@@ -29,6 +29,19 @@ BRICK_CELLS = morton_decode(np.arange(BRICKS, dtype=np.uint64))
 
 
 @dataclass(frozen=True)
+class Box:
+    """A box of voxels, from one corner up to another, (3,) each, counted from a set's grid."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    def grown(self, reach: tuple[int, ...], times: int = 1) -> Self:
+        """Return the box of what is within so many times the reach along each axis."""
+        by = times * np.array(reach)
+        return type(self)(self.low - by, self.high + by)
+
+
+@dataclass(frozen=True)
 class Tiling:
     """A set of voxels.
 
@@ -127,18 +140,29 @@ class Tiling:
         bricks[self.is_full(codes)] = ALL_VOXELS
         return bricks
 
-    def boundary(self) -> np.ndarray:
-        """Return the ascending codes of the tiles that hold every voxel of the set with an unset
-        voxel beside a face: mixed ones, and FULL ones beside a tile that is not."""
+    def within(self, codes: np.ndarray, box: Box | None, level: int = 0) -> np.ndarray:
+        """Return which nodes, `level` levels above the tiles, reach a box."""
+        if box is None:
+            return np.ones(len(codes), bool)
+        side = TILE << level
+        low = morton_decode(codes).astype(np.int64) * side - self.corner
+        return np.all((low + side > box.low) & (low < box.high), axis=1)
+
+    def boundary(self, box: Box | None = None) -> np.ndarray:
+        """Return the ascending codes of the tiles that hold every voxel of the set, or of its part
+        in a box, with an unset voxel beside a face: mixed ones, and FULL ones beside a tile that is
+        not."""
         kept = np.empty(0, np.uint64)
         for level in range(len(self.full) - 1, -1, -1):
             nodes = np.concatenate([descend(kept), self.full[level]])
+            nodes = nodes[self.within(nodes, box, level)]
             bare = np.zeros(len(nodes), bool)
             for axis, step in product(range(3), (-1, 1)):
                 beside, within = morton_step(nodes, axis, step, self.side >> level)
                 bare |= within & ~self.is_full(beside, level)
             kept = nodes[bare]
-        return np.sort(np.concatenate([self.codes, kept]))
+        mixed = self.codes[self.within(self.codes, box)]
+        return np.sort(np.concatenate([mixed, kept]))
 
     def around(self, codes: np.ndarray, halo: tuple[int, ...]) -> np.ndarray:
         """Return the ascending codes of the tiles up to `halo` tiles along each axis from those of
@@ -170,12 +194,12 @@ class Tiling:
     def octree(
         self, grid: Grid, low: np.ndarray, units: str = "", transform: tuple[float, ...] = ()
     ) -> Octree:
-        """Return the set as an octree, with mode "solid" and fill "none".
+        """Return the set's part in a grid as an octree, with mode "solid" and fill "none".
 
         Parameters
         ----------
         grid : Grid
-            The grid of the result, which holds the whole set.
+            The grid of the result.
         low : (3,) int
             Where it begins, in voxels counted from this set's grid: multiples of TILE.
         units, transform : str, tuple
@@ -184,22 +208,25 @@ class Tiling:
         Raises
         ------
         MemoryLimitError
-            If the leaves, divided because they no longer lie at multiples of their side, do not fit
-            in memory.
+            If the leaves, divided because they do not lie at multiples of their side in the grid,
+            do not fit in memory.
         """
         first = (self.corner + np.asarray(low)) // TILE
+        box = Box(np.asarray(low), np.asarray(low) + grid.side)
         full, split = [], np.empty(0, np.uint64)
         for level in range(len(self.full) - 1, -1, -1):
             check_memory(8 * 24 * len(split), f"leaves of {TILE << level} voxels a side")
             leaves = np.concatenate([self.full[level], descend(split)])
-            if (first % (1 << level)).any():
+            leaves = leaves[self.within(leaves, box, level)]
+            if level and ((first % (1 << level)).any() or TILE << level > grid.side):
                 split = leaves
                 continue
             full.append(np.sort(morton_encode(morton_decode(leaves) - (first >> level))))
             split = leaves[:0]
-        codes = morton_encode(morton_decode(self.codes) - first)
+        inside = np.flatnonzero(self.within(self.codes, box))
+        codes = morton_encode(morton_decode(self.codes[inside]) - first)
         order = np.argsort(codes)
-        masks = self.bricks[order].ravel()
+        masks = self.bricks[inside[order]].ravel()
         held = np.flatnonzero(masks)
         bricks = descend(codes[order], LEVEL)[held]
         top = (grid.side // BRICK_SIDE).bit_length() - 1

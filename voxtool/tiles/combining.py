@@ -48,9 +48,7 @@ class CombineWindowsJob(OperationJob):
         low = np.array(lows)
         sizes = [np.diff(part.offsets.astype(np.int64))[:0:-1] // 8 for part in parts]
         plan = plan_of(sizes, low, grid, self.whole.operation)
-        job = CombineJob(list(parts), low, plan, self.device, self.max_memory)
-        job.refuse()
-        return job._run()
+        return self._made_by(CombineJob(list(parts), low, plan, self.device, self.max_memory), grid)
 
 
 def combine_windows(job: CombineJob, octrees: Sequence[OctreeContent]) -> CombineWindowsJob | None:

@@ -17,13 +17,11 @@ from voxtool.files.windows import Key
 from voxtool.grid import Grid
 from voxtool.job import Cost
 from voxtool.opencl import Device
-from voxtool.svo.cells import cube
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.morphology import MorphJob, MorphPlan, batch_of, plan_of, why_empty
 from voxtool.svo.octree import Octree
-from voxtool.svo.placing import placed_octree
-from voxtool.svo.tiling import LEVEL, TILE, Tiling
+from voxtool.svo.tiling import LEVEL, Box, Tiling
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.operations import Operand, OperationJob, fits
 
@@ -53,14 +51,15 @@ class MorphWindowsJob(OperationJob):
     def _cost(self, side: int) -> Cost:
         mixed = int(self.sizes(self.operands[0], side)[LEVEL - 1 : LEVEL].sum())
         wide = (1 + 2 * self.margin / side) ** 2
-        return self._planned(side, int(BOUNDARY * wide * mixed)).cost
+        return self._planned(int(BOUNDARY * wide * mixed)).cost
 
-    def _planned(self, side: int, tiles: int) -> MorphPlan:
-        """Return the plan for a cube with so many tiles; the result may grow to all sides."""
-        room = TILE * -(-max(self.whole.element.reach) // TILE)
-        batch = batch_of(self.whole.element, tiles, self.max_memory)
-        place = {"grid": cube(side + 2 * room), "low": (-room, -room, -room)}
-        return replace(self.whole, **place, tiles=tiles, batch=batch)
+    def _planned(self, tiles: int) -> MorphPlan:
+        """Return the plan for a window with so many tiles. Batches leave room for what the host
+        holds, but take a quarter of the memory, as small ones are slow."""
+        plan, most = replace(self.whole, tiles=tiles), self.max_memory
+        if most is not None:
+            most = max(most - plan.cost.host, most // 4)
+        return replace(plan, batch=batch_of(plan.element, tiles, most))
 
     def _state(self, key: Key) -> int:
         state = self.operands[0].state(key, self.margin)
@@ -68,11 +67,12 @@ class MorphWindowsJob(OperationJob):
 
     def _window(self, key: Key, grid: Grid) -> Octree:
         part, low = self.operands[0].part(key, self.margin, self.limit)
-        voxels = Tiling.of(part, max(self.whole.element.reach))
-        plan = self._planned(part.grid.side, len(voxels.boundary()))
-        job = MorphJob(part, voxels, plan, self.device, self.max_memory)
-        job.refuse()
-        return placed_octree(job._run(), grid, low + plan.low)
+        element = self.whole.element
+        voxels, box = Tiling.of(part, max(element.reach)), Box(-low, grid.side - low)
+        tiles = len(voxels.boundary(box.grown(element.reach, self.whole.passes)))
+        x, y, z = (-low).tolist()
+        plan = replace(self._planned(tiles), grid=grid, low=(x, y, z))
+        return self._made_by(MorphJob(part, voxels, plan, self.device, self.max_memory), grid)
 
 
 def plan_unread(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -176,13 +176,21 @@ class OperationJob(Job[BlockOctree]):
 
     def _plan(self) -> OperationPlan:
         """Return the plan of the largest windows that are predicted to fit."""
-        side, allowed = self.grid.side, (self.limit, self.device.info.max_allocation)
-        while shortage := (cost := self._cost(side)).shortage(*allowed):
+        side = self.grid.side
+        while shortage := self._shortage(cost := self._cost(side), side):
             refuse_smallest((0, 0, 0, side), shortage, self.least)
             side //= 2
         count = max(operand.cells(side).refined for operand in self.operands)
         disk = sum(operand.octree.nbytes for operand in self.operands)
         return OperationPlan(self.whole, cost, side, count, disk)
+
+    def _shortage(self, cost: Cost, side: int) -> str:
+        """Return the memory that a window of this cost lacks, as messages say it; "" if it lacks
+        none. What the host holds beside the device counts too, as the memory of processors is one,
+        but it never makes a window too small."""
+        host = cost.host if side > self.least else 0
+        both = replace(cost, device=cost.device + host)
+        return both.shortage(self.limit, self.device.info.max_allocation)
 
     def notes(self, result: BlockOctree) -> Iterator[str]:
         """Yield which attributes are not kept."""
@@ -258,6 +266,12 @@ class OperationJob(Job[BlockOctree]):
             octree = self._window(key, cube(side))
         levels = subtree_of(octree, side).levels
         self.store.put(key, Window.of(levels, octree.bricks, octree.count))
+
+    def _made_by(self, job: Job[Octree], grid: Grid) -> Octree:
+        """Return the octree of a window's job; MemoryLimitError if the window does not fit."""
+        if shortage := self._shortage(job.cost, grid.side):
+            raise MemoryLimitError(f"a window of {grid.side} voxels a side {shortage}")
+        return job._run()
 
     def _bricks(self) -> Iterator[np.ndarray]:
         """Yield the bricks of all windows, which are then removed from the disk."""
