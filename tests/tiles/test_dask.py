@@ -36,6 +36,12 @@ def client() -> Iterator[Client]:
         yield found
 
 
+@pytest.fixture
+def scheduler(client: Client) -> str:
+    """The address of the cluster that tests share, for commands."""
+    return client.scheduler_info()["address"]
+
+
 CASES = {
     "surface": ("bunny.obj", {"mode": "surface26"}),
     "parity": ("bunny.obj", {"with_surface": True}),
@@ -51,11 +57,15 @@ def test_the_octree_is_that_of_one_process(case, client, models: Path, tmp_path)
     mesh = load_mesh(models / name)
     grid = Grid.fit(mesh, 300).window((40, 6, 0), (260, 202, 280))  # neither a cube nor aligned
     whole = voxtool.voxelize(mesh, grid, **request)
-    assert voxtool.tiles.voxelize(mesh, grid, client=client, **request) == whole
     target = tmp_path / "a.svo.h5"
     made = voxtool.tiles.voxelize(mesh, grid, client=client, file=target, **request)
     assert made.digest() == whole.digest() == read_svo(target).digest()
     assert os.listdir(tmp_path) == ["a.svo.h5"]
+
+
+def test_the_octree_in_memory(client, models: Path, surface: Octree) -> None:
+    mesh = models / "bunny.obj"
+    assert voxtool.tiles.voxelize(mesh, None, "surface26", client=client, dim=300) == surface
 
 
 @pytest.fixture
@@ -141,23 +151,23 @@ def test_the_command_line(here: Path) -> None:
 
 
 @pytest.mark.parametrize("more", ["--mode surface26", "--fill parity", "--fill flood"])
-def test_workers_merge_their_windows(more: str, here: Path) -> None:
+def test_workers_merge_their_windows(more: str, here: Path, scheduler: str) -> None:
     command = f"voxelize bunny.obj --dim 200 --dag {more} --json"
     whole, parts = (
         told(f"{command} -o whole.svo.h5"),
-        told(f"{command} -o parts.svo.h5 --dask local --workers 2"),
+        told(f"{command} -o parts.svo.h5 --dask {scheduler}"),
     )
     for name in ("digest", "voxels", "nodes", "bricks", "bytes", "grid", "fill", "version"):
         assert parts.get(name) == whole.get(name), name
     assert not Path("parts.svo.h5.windows").exists()
-    plan = run(f"voxelize bunny.obj --dag {more} --dask local --workers 2 --plan").stdout
+    plan = run(f"voxelize bunny.obj --dag {more} --dask {scheduler} --plan").stdout
     assert "merge subtrees" in plan
 
 
-def test_many_meshes(here: Path) -> None:
+def test_many_meshes(here: Path, scheduler: str) -> None:
     models = "bunny.obj open.obj"
     told(f"voxelize {models} --dim 32 -o here/ --json")
-    done = told(f"voxelize {models} --dim 32 -o there/ --dask local --workers 2 --json")
+    done = told(f"voxelize {models} --dim 32 -o there/ --dask {scheduler} --json")
     assert (done["made"], done["failed"]) == (2, 0)
     for name in ("bunny.svo.h5", "open.svo.h5"):
         assert read_svo(f"here/{name}").digest() == read_svo(f"there/{name}").digest()
