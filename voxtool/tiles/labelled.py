@@ -59,7 +59,8 @@ class LabelWindowsJob(WindowsJob):
         return np.union1d(near, wound) if len(wound) else near
 
     def _job(self, key: Key, faces: np.ndarray) -> Any:
-        return self._parts.job(faces, (key[:3], shape_of(key, self.grid)))
+        window = key[:3], shape_of(key, self.grid)
+        return self._parts.job(faces, window, self.device, self.max_memory)
 
     def _sets_nothing(self, job: PartLabelsJob) -> bool:
         return not job.jobs

@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.grid import FIXED_POINT_BITS
-from voxtool.svo.attribution.labels import PartLabelsJob, atlas_of, voxels_of
+from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Device
+from voxtool.svo.attribution.labels import PartLabelsJob, PartLabelsPlan, atlas_of, voxels_of
 from voxtool.svo.attribution.parts import PartMesh
 from voxtool.svo.voxelize import Window, plan_voxelize
 
@@ -25,15 +27,20 @@ Rule = tuple[str, int]  # a fill, and the gap that a flood closes
 class PartsOfWindows:
     """The parts of a labelled voxelization, from which windows are planned.
 
-    whole : the voxelization in one piece
+    mesh, grid, plan, ranks : of the voxelization in one piece
     own : its parts, with faces as the fill rules turned them
     rules : of each part
+    together : the parts that may be voxelized at once
     low, high : (n, 3) int64, the first and last voxels that each of own.parts may change
     """
 
-    whole: PartLabelsJob
+    mesh: Mesh
+    grid: Grid
+    plan: PartLabelsPlan
+    ranks: np.ndarray
     own: PartMesh
     rules: dict[int, Rule]
+    together: np.ndarray
     low: np.ndarray
     high: np.ndarray
 
@@ -41,53 +48,69 @@ class PartsOfWindows:
     def of(cls, whole: PartLabelsJob) -> PartsOfWindows:
         """Return the parts of a planned voxelization."""
         own, rest, rules = whole.own, list(whole.jobs), {}
+        together = whole.atlas.parts if whole.atlas else own.parts[:0]
         if whole.atlas:
             plan = rest.pop(0).plan
-            rules = dict.fromkeys(whole.atlas.parts.tolist(), (plan.fill, plan.gap))
+            rules = dict.fromkeys(together.tolist(), (plan.fill, plan.gap))
         faces = own.faces.copy()
         for (part, _), job in zip(whole.plan.alone, rest, strict=True):
             plan = getattr(job, "solid", job).plan  # of fractions, that of the solid
             rules[part] = plan.fill, plan.gap
             first = np.int32(np.searchsorted(own.part_of, part))
             faces[own.of == part] = job.mesh.faces + first
-        low, high = voxels_of(own, whole.grid.to_fixed(own.points), 0)
-        return cls(whole, replace(own, faces=faces), rules, low, high)
+        boxes = voxels_of(own, whole.grid.to_fixed(own.points), 0)
+        about = whole.mesh, whole.grid, whole.plan, whole.ranks
+        return cls(*about, replace(own, faces=faces), rules, together, *boxes)
+
+    def sent(self, faces: np.ndarray) -> PartsOfWindows:
+        """Return what windows need of the parts of some faces, to be sent to another process: the
+        mesh without its faces."""
+        own = self.own.some(faces)
+        place = np.searchsorted(self.own.parts, own.parts)
+        none = {"vertices": own.points[:0], "faces": own.faces[:0]}
+        mesh = replace(self.mesh, **none, parts={}, appearance=None)
+        plan = replace(self.plan, together=0, alone=(), inner=())
+        rules = {part: self.rules[part] for part in own.parts.tolist()}
+        boxes = {"low": self.low[place], "high": self.high[place]}
+        return replace(self, mesh=mesh, plan=plan, own=own, rules=rules, **boxes)
 
     def with_rule(self, fill: str) -> np.ndarray:
         """Return which faces are of parts that a rule fills, (F,) bool."""
         parts = [part for part, (own, _) in self.rules.items() if own == fill]
         return np.isin(self.own.of, parts)
 
-    def job(self, faces: np.ndarray, window: Window) -> PartLabelsJob:
+    def job(
+        self, faces: np.ndarray, window: Window, device: Device, max_memory: int | None
+    ) -> PartLabelsJob:
         """Return the job of a window, given the faces that can change it; it has no jobs of parts
         if nothing is set there."""
-        whole, own = self.whole, self.own.some(faces)
+        own, grid = self.own.some(faces), self.grid
         low, shape = np.asarray(window[0]), window[1]
-        fixed = whole.grid.to_fixed(own.points) - (low.astype(np.int32) << FIXED_POINT_BITS)
+        fixed = grid.to_fixed(own.points) - (low.astype(np.int32) << FIXED_POINT_BITS)
         place = np.searchsorted(self.own.parts, own.parts)
         within = ((self.low[place] >= low) & (self.high[place] < low + shape)).all(axis=1)
-        within &= np.isin(own.parts, whole.atlas.parts if whole.atlas else [])
-        mode, _, added = whole.plan.mode.partition("+")
-        options: dict[str, Any] = {"device": whole.device, "max_memory": whole.max_memory}
+        within &= np.isin(own.parts, self.together)
+        mode, _, added = self.plan.mode.partition("+")
+        options: dict[str, Any] = {"device": device, "max_memory": max_memory}
         options["with_surface"] = bool(added)
         atlas, jobs, alone = atlas_of(own, fixed, within, 0), [], []
         if atlas:
             mesh, fill = atlas.mesh(fixed, own.faces, own.of), self._fill(int(atlas.parts[0]))
             jobs.append(plan_voxelize(mesh, atlas.grid, mode, fill=fill, **options))
         for part in own.parts[~within].tolist():
-            mesh, fill = own.alone(part, whole.mesh), self._fill(part)
-            job = plan_voxelize(mesh, whole.grid, mode, fill=fill, window=window, **options)
+            mesh, fill = own.alone(part, self.mesh), self._fill(part)
+            job = plan_voxelize(mesh, grid, mode, fill=fill, window=window, **options)
             survey = job.plan.survey
             if survey.triangles > survey.outside or job.plan.entry:
                 jobs.append(job)
                 alone.append((part, BEYOND))
         plan = replace(
-            whole.plan, together=len(atlas.parts) if atlas else 0, alone=tuple(alone),
+            self.plan, together=len(atlas.parts) if atlas else 0, alone=tuple(alone),
             side=atlas.side if atlas else 0, inner=tuple(job.plan for job in jobs),
         )  # fmt: skip
         return PartLabelsJob(
-            whole.mesh, whole.grid.window(*window), own, whole.ranks, atlas, jobs, plan,
-            whole.device, whole.max_memory, window, whole.grid,
+            self.mesh, grid.window(*window), own, self.ranks, atlas, jobs, plan, device,
+            max_memory, window, grid,
         )  # fmt: skip
 
     def _fill(self, part: int) -> str:
