@@ -17,7 +17,10 @@ import numpy as np
 from voxtool.arrays import digest_of
 from voxtool.errors import MemoryLimitError, count_of
 from voxtool.files.windows import Key, Window, Windows
+from voxtool.grid import Grid
 from voxtool.job import Cost
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Device
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.fraction import (
     MODE,
@@ -28,6 +31,7 @@ from voxtool.svo.attribution.fraction import (
 )
 from voxtool.svo.attribution.fraction_rows import Shares
 from voxtool.svo.attribution.labels import fill_of
+from voxtool.svo.attribution.labels_window import PartsOfWindows
 from voxtool.svo.attribution.part_fractions import PartFractionsJob
 from voxtool.svo.stored_volume import WHOLE
 from voxtool.svo.voxelize import Window as Box
@@ -42,6 +46,7 @@ from voxtool.tiles.windows import (
     WindowsPlan,
     halves_of,
     mesh_of,
+    sets_nothing,
     shape_of,
 )
 
@@ -63,6 +68,12 @@ class Bar:
         corners[:, self.axis] = np.arange(len(corners)) * side
         return [(x, y, z, side) for x, y, z, _ in corners.tolist()]
 
+    def box(self, grid: Grid) -> Box:
+        """Return its low corner and its voxels along each axis of a grid."""
+        shape = list(shape_of(self.key, grid))
+        shape[self.axis] = grid.shape[self.axis]
+        return self.key[:3], (shape[0], shape[1], shape[2])
+
 
 @dataclass(frozen=True)
 class BarsPlan(WindowsPlan):
@@ -70,6 +81,7 @@ class BarsPlan(WindowsPlan):
 
     bars: tuple[Bar, ...] = ()
     shares: int = 0  # predicted bytes of shares of faces that wait
+    makers = "one after the other"  # how they are made, in the rows
 
     @property
     def count(self) -> int:
@@ -96,7 +108,7 @@ class BarsPlan(WindowsPlan):
         axes = ", ".join(AXES[axis] for axis in sorted({bar.axis for bar in self.bars}))
         side = self.bars[0].key[3] if self.bars else 0
         text = f"{count_of(self.count, 'bar')} along {axes}, {side} x {side} voxels across"
-        text += ", one after the other"
+        text += f", {self.makers}"
         return [("windows", text) if row[0] == "windows" else row for row in super().rows()]
 
 
@@ -113,8 +125,8 @@ class BarsJob(WindowsJob):
         """Return the job of a bar, given the faces that can change it; None if it is empty."""
         raise NotImplementedError
 
-    def _cubes(self, job: Any, side: int, keys: Sequence[Key]) -> Iterator[Window]:
-        """Run the job of a bar along x; yield its cubes as windows."""
+    def _cubes(self, bar: Bar) -> Iterator[Window]:
+        """Make a bar; yield its cubes as windows."""
         raise NotImplementedError
 
     def _everywhere(self) -> np.ndarray:
@@ -124,7 +136,7 @@ class BarsJob(WindowsJob):
     # ---- the plan
 
     def _plan(self) -> BarsPlan:
-        side = self.grid.side
+        side = self._widest()
         while (bars := self._bars(side)) is None:
             side //= 2
         along_x = {bar.key[1:3]: bar.plan for bar in bars if not bar.axis}
@@ -139,6 +151,10 @@ class BarsJob(WindowsJob):
 
         shares = sum(8 * bar.plan.touched for bar in bars if bar.axis)
         return BarsPlan(self._whole_plan, part_of(self.root), tuple(bars), shares)
+
+    def _widest(self) -> int:
+        """Return how many voxels wide bars may be."""
+        return self.grid.side
 
     def _bars(self, side: int) -> list[Bar] | None:
         """Return the bars that are not empty, or None if one does not fit."""
@@ -165,10 +181,8 @@ class BarsJob(WindowsJob):
 
     def _job_of(self, bar: Bar) -> Any:
         """Return the job of a bar, or None if it is empty."""
-        shape = list(shape_of(bar.key, self.grid))
-        shape[bar.axis] = self.grid.shape[bar.axis]
         faces = self._faces_of_bar(bar)
-        return self._bar_job(faces, (bar.key[:3], tuple(shape))) if len(faces) else None
+        return self._bar_job(faces, bar.box(self.grid)) if len(faces) else None
 
     def _faces_of_bar(self, bar: Bar) -> np.ndarray:
         """Return the faces that can change a bar: those near it, and those before it along x."""
@@ -186,16 +200,22 @@ class BarsJob(WindowsJob):
         """Make the bars along x; their cubes wait on disk."""
         along_x = [bar for bar in self.plan.bars if not bar.axis]
         self._done = len(self.plan.bars) - len(along_x)
-        for bar in along_x:
-            keys = bar.cubes(self.grid.shape)
-            if all(key in self.store for key in keys):
-                self._done += 1
-                continue
+        self._make_bars(self._not_in(self.store, along_x), self.store)
+
+    def _not_in(self, store: Windows, bars: Sequence[Bar]) -> list[Bar]:
+        """Return those of some bars whose cubes are not all in a store; the others are done."""
+        shape = self.grid.shape
+        missing = [bar for bar in bars if any(key not in store for key in bar.cubes(shape))]
+        self._done += len(bars) - len(missing)
+        return missing
+
+    def _make_bars(self, bars: Sequence[Bar], store: Windows) -> None:
+        """Make bars along one axis; their cubes wait in a store."""
+        for bar in bars:
             self._report()
             with self.device.reporting(lambda _: None):  # not the stages within
-                cubes = self._cubes(self._job_of(bar), bar.key[3], keys)
-                for key, window in zip(keys, cubes, strict=True):
-                    self.store.put(key, window)
+                for key, cube in zip(bar.cubes(self.grid.shape), self._cubes(bar), strict=True):
+                    store.put(key, cube)
 
     def _report(self, what: str = "bar") -> None:
         super()._report(what)
@@ -236,72 +256,96 @@ class FractionWindowsJob(BarsJob):
         return self.all_faces[: None if self.whole.plan.solid.fill == "winding" else 0]
 
     def _bar_job(self, faces: np.ndarray, box: Box) -> FractionJob | None:
+        mesh = mesh_of(self.mesh, faces)
+        return fraction_job(mesh, self.grid, box, self._volume, self.device, self._options)
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        """The options of each bar's voxelization."""
         plan = self.whole.plan
-        job = plan_fractions(
-            mesh_of(self.mesh, faces), self.grid, fill=plan.solid.fill, kind=plan.kind,
-            faces=plan.faces, window=box, device=self.device, max_memory=self.max_memory,
-        )  # fmt: skip
-        job.mesh_volume = self._volume
-        return None if self._sets_nothing(job.solid) else job
+        rules = {"fill": plan.solid.fill, "kind": plan.kind, "faces": plan.faces}
+        return {**rules, "max_memory": self.max_memory}
 
     def _prepare(self) -> None:
         """Find the shares of faces across y and z."""
         self._done = 0
         self._shares = {axis: self.store.beside(AXES[axis]) for axis in self.axes[:-1]}
-        for bar in self.plan.bars:
-            if bar.axis:
-                self._report()
-                self._share_faces(bar, self._shares[bar.axis])
+        for axis, store in self._shares.items():
+            bars = [bar for bar in self.plan.bars if bar.axis == axis]
+            self._make_bars(self._not_in(store, bars), store)
 
-    def _share_faces(self, bar: Bar, store: Windows) -> None:
-        """Store the two shares of each touched voxel of a bar as one number of 64 bits."""
-        keys = bar.cubes(self.grid.shape)
-        if all(key in store for key in keys):
-            return
-        with self.device.reporting(lambda _: None):  # not the stages within
-            octree, found = self._job_of(bar).shares(bar.axis)
-        assert found.faces is not None
-        pairs = np.ascontiguousarray(found.faces[:, 2 * bar.axis : 2 * bar.axis + 2])
-        firsts = starts_of(found.touched)
-        cubes = cubes_along(octree, bar.key[3], bar.axis)
-        wrong = found.disagreements
-        for key, cube in zip(keys, cubes, strict=True):
-            own = pairs[firsts[cube.first] : firsts[cube.last]]
-            store.put(key, Window.of((), own.view(np.uint64).ravel(), 0, (), wrong))
-            wrong = 0
+    def _cubes(self, bar: Bar) -> Iterator[Window]:
+        job = self._job_of(bar)
+        if bar.axis:
+            return face_cubes(job, bar)
+        return fraction_cubes(job, bar, map(self._pairs, bar.cubes(self.grid.shape)))
 
-    def _cubes(self, job: FractionJob, side: int, keys: Sequence[Key]) -> Iterator[Window]:
-        octree, found = job.shares(0 if self._shares else None)
-        firsts, wrong = starts_of(found.touched), found.disagreements
-        for key, cube in zip(keys, cubes_along(octree, side, 0), strict=True):
-            own = self._within(found, cube, firsts, key)
-            attributes = list(attributes_of(own, self.whole.plan.kind))
-            yield cube.window(own.bricks, attributes, wrong)
-            wrong = 0
-
-    def _within(self, found: Shares, cube: Cube, firsts: np.ndarray, key: Key) -> Shares:
-        """Return the shares of a cube, with those of all its faces."""
-        bricks, voxels = (
-            slice(cube.first, cube.last),
-            slice(firsts[cube.first], firsts[cube.last]),
-        )
-        touched, shares = found.touched[bricks], found.voxels[voxels]
-        faces = cut = None
-        if found.faces is not None:
-            parts = [found.faces[voxels, :2]]
-            for store in self._shares.values():
-                stored = store.bricks(key) if key in store else ()  # of a bar without faces
-                pairs = np.concatenate([np.empty(0, np.uint64), *stored])
-                parts.append(pairs.view(np.uint32).reshape(-1, 2))
-            faces = np.concatenate(parts, axis=1)
-            cut = _cut(touched, (shares > 0) & (faces != WHOLE).any(axis=1))
-        return Shares(touched, found.bricks[bricks], found.partial[bricks], shares, faces, cut, 0)
+    def _pairs(self, key: Key) -> list[np.ndarray]:
+        """Return what waits of the shares of faces of a cube, across y and across z."""
+        found = []
+        for store in self._shares.values():
+            stored = store.bricks(key) if key in store else ()  # of a bar without faces
+            found.append(np.concatenate([np.empty(0, np.uint64), *stored]))
+        return found
 
     def findings(self, octree: BlockOctree) -> Iterator[str]:
         """Yield warnings, those of the octree in one piece."""
         stores = {0: self.store, **self._shares}
         self.whole.disagreements = sum(stores[bar.axis].known(bar.key) for bar in self.plan.bars)
         return self.whole.findings(octree)
+
+
+def fraction_job(
+    mesh: Mesh,
+    grid: Grid,
+    box: Box,
+    volume: float,
+    device: Device,
+    options: dict[str, Any],
+) -> FractionJob | None:
+    """Return the job of a bar, given the faces that can change it and the volume of the whole mesh;
+    None if it is empty."""
+    job = plan_fractions(mesh, grid, window=box, device=device, **options)
+    job.mesh_volume = volume
+    return None if sets_nothing(job.solid.plan) else job
+
+
+def face_cubes(job: FractionJob, bar: Bar) -> Iterator[Window]:
+    """Make a bar along y or z; yield its cubes, with the two shares of each touched voxel as one
+    number of 64 bits."""
+    octree, found = job.shares(bar.axis)
+    assert found.faces is not None
+    pairs = np.ascontiguousarray(found.faces[:, 2 * bar.axis : 2 * bar.axis + 2])
+    firsts, wrong = starts_of(found.touched), found.disagreements
+    for cube in cubes_along(octree, bar.key[3], bar.axis):
+        own = pairs[firsts[cube.first] : firsts[cube.last]]
+        yield Window.of((), own.view(np.uint64).ravel(), 0, (), wrong)
+        wrong = 0
+
+
+def fraction_cubes(
+    job: FractionJob, bar: Bar, pairs: Iterable[Sequence[np.ndarray]]
+) -> Iterator[Window]:
+    """Make a bar along x; yield its cubes, given the shares of their faces across y and z, if faces
+    have shares."""
+    octree, found = job.shares(0 if job.plan.faces else None)
+    firsts, wrong = starts_of(found.touched), found.disagreements
+    for cube, own_pairs in zip(cubes_along(octree, bar.key[3], 0), pairs, strict=True):
+        own = _within(found, cube, firsts, own_pairs)
+        yield cube.window(own.bricks, list(attributes_of(own, job.plan.kind)), wrong)
+        wrong = 0
+
+
+def _within(found: Shares, cube: Cube, firsts: np.ndarray, pairs: Sequence[np.ndarray]) -> Shares:
+    """Return the shares of a cube, with those of all its faces."""
+    bricks, voxels = slice(cube.first, cube.last), slice(firsts[cube.first], firsts[cube.last])
+    touched, shares = found.touched[bricks], found.voxels[voxels]
+    faces = cut = None
+    if found.faces is not None:
+        across = [one.view(np.uint32).reshape(-1, 2) for one in pairs]
+        faces = np.concatenate([found.faces[voxels, :2], *across], axis=1)
+        cut = _cut(touched, (shares > 0) & (faces != WHOLE).any(axis=1))
+    return Shares(touched, found.bricks[bricks], found.partial[bricks], shares, faces, cut, 0)
 
 
 def starts_of(masks: np.ndarray) -> np.ndarray:
@@ -343,33 +387,11 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
         return (*super()._kinds(), *without_values(self.whole.plan.kind, faces=False))
 
     def _bar_job(self, faces: np.ndarray, box: Box) -> PartFractionsJob | None:
-        whole, own = self.whole, self._parts.own.some(faces)
-        jobs, alone = [], []
-        for part in own.parts.tolist():
-            job = plan_fractions(
-                own.alone(part, whole.mesh), self.grid, fill=self._parts.rules[part][0],
-                window=box, device=self.device, max_memory=self.max_memory,
-            )  # fmt: skip
-            job.mesh_volume = self._volumes[part]
-            if not WindowsJob._sets_nothing(self, job.solid):
-                jobs.append(job)
-                alone.append((part, ""))
-        if not jobs:
-            return None
-        plan = replace(whole.plan, alone=tuple(alone), inner=tuple(job.plan for job in jobs))
-        return PartFractionsJob(
-            whole.mesh, self.grid.window(*box), own, whole.ranks, None, jobs, plan, self.device,
-            self.max_memory,
-        )  # fmt: skip
+        place = self.device, self.max_memory
+        return part_fraction_job(self._parts, faces, box, self._volumes, *place)
 
-    def _cubes(self, job: PartFractionsJob, side: int, keys: Sequence[Key]) -> Iterator[Window]:
-        octree = job._run()
-        parts = [part for part, _ in job.plan.alone]
-        wrong = [[part, one.disagreements] for part, one in zip(parts, job.jobs, strict=True)]
-        for cube in cubes_along(octree, side, 0):
-            bricks = octree.bricks[cube.first : cube.last]
-            yield cube.window(bricks, attributes_within(octree, cube), wrong)
-            wrong = []
+    def _cubes(self, bar: Bar) -> Iterator[Window]:
+        return part_fraction_cubes(self._job_of(bar), bar)
 
     def findings(self, octree: BlockOctree) -> Iterator[str]:
         """Yield warnings, those of the octree in one piece."""
@@ -381,3 +403,41 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
         for (part, _), job in zip(self.whole.plan.alone, self.whole.jobs, strict=True):
             job.disagreements = wrong[part]
             yield from job.wrong()
+
+
+def part_fraction_job(
+    parts: PartsOfWindows,
+    faces: np.ndarray,
+    box: Box,
+    volumes: dict[int, float],
+    device: Device,
+    max_memory: int | None,
+) -> PartFractionsJob | None:
+    """Return the job of a bar, given the faces that can change it and the volumes of the whole
+    parts; None if it is empty."""
+    own, jobs, alone = parts.own.some(faces), [], []
+    for part in own.parts.tolist():
+        options = {"fill": parts.rules[part][0], "max_memory": max_memory}
+        mesh = own.alone(part, parts.mesh)
+        job = fraction_job(mesh, parts.grid, box, volumes[part], device, options)
+        if job is not None:
+            jobs.append(job)
+            alone.append((part, ""))
+    if not jobs:
+        return None
+    plan: Any = replace(parts.plan, alone=tuple(alone), inner=tuple(job.plan for job in jobs))
+    window = parts.grid.window(*box)
+    return PartFractionsJob(
+        parts.mesh, window, own, parts.ranks, None, jobs, plan, device, max_memory
+    )
+
+
+def part_fraction_cubes(job: PartFractionsJob, bar: Bar) -> Iterator[Window]:
+    """Make a bar; yield its cubes."""
+    octree = job._run()
+    parts = [part for part, _ in job.plan.alone]
+    wrong = [[part, one.disagreements] for part, one in zip(parts, job.jobs, strict=True)]
+    for cube in cubes_along(octree, bar.key[3], 0):
+        bricks = octree.bricks[cube.first : cube.last]
+        yield cube.window(bricks, attributes_within(octree, cube), wrong)
+        wrong = []

@@ -28,7 +28,7 @@ from voxtool.svo.attributes import Attribute
 from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
 from voxtool.svo.links import EMPTY
 from voxtool.svo.octree import Octree
-from voxtool.svo.plan import NODE_BLOCK
+from voxtool.svo.plan import NODE_BLOCK, VoxelizePlan
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 from voxtool.tiles.octree import BlockAttribute, BlockOctree
 from voxtool.tiles.subtree import Subtree, joined, labels_by_level, leaf_subtree, subtree_of
@@ -214,9 +214,8 @@ class WindowsJob(Job[BlockOctree]):
         return plan_voxelize(mesh, self.grid, window=window, device=self.device, **self._options)
 
     def _sets_nothing(self, job: Any) -> bool:
-        """Return whether a window is empty: no triangle touches it, and no row enters it inside."""
-        survey = job.plan.survey
-        return survey.triangles == survey.outside and not job.plan.entry
+        """Return whether a window is empty."""
+        return sets_nothing(job.plan)
 
     def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> Job[Octree]:
         """Return the job that makes a window, of that of its octree without attributes."""
@@ -344,6 +343,11 @@ class WindowsJob(Job[BlockOctree]):
         self._done += 1
         if self._progress:
             self._progress(f"{what} {self._done} of {self.plan.count}")
+
+
+def sets_nothing(plan: VoxelizePlan) -> bool:
+    """Return whether a window is empty: no triangle touches it, and no row enters it inside."""
+    return plan.survey.triangles == plan.survey.outside and not plan.entry
 
 
 def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
