@@ -86,7 +86,7 @@ def run(client: Any, mesh: Any, dim: int, mode: str) -> Run:
     """Run a job once."""
     before = worked(client)
     begun = time.perf_counter()
-    job = spreading.spread(plan_voxelize(mesh, Grid.fit(mesh, dim), mode), client)
+    job = spreading.SpreadJob(plan_voxelize(mesh, Grid.fit(mesh, dim), mode), client)
     with tempfile.TemporaryDirectory(dir=".") as folder:
         target = Path(folder, "octree.svo.h5")
         with Windows(str(target), job.request, job.plan.disk) as job.store:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from helpers_cli import ENVIRONMENT, MODULE
+from helpers_cli import ENVIRONMENT, MODULE, told
 
 import voxtool
 
@@ -61,16 +61,21 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 
 
 @pytest.mark.parametrize(
-    ("model", "dim", "fill"), [("bunny", 2000, "parity"), ("open", 500, "winding")]
+    "of",
+    [
+        "bunny.obj --dim 2000 --fill parity",
+        "open.obj --dim 500 --fill winding",
+        "parts.glb --dim 900 --labels part --attributes colour --with-surface",
+        "bunny.obj --dim 700 --mode fraction --face-fractions",
+    ],
 )
 def test_a_scheduler_that_comes_back_costs_nothing(
-    model: str, dim: int, fill: str, cluster: Cluster, models: Path, tmp_path: Path
+    of: str, cluster: Cluster, models: Path, tmp_path: Path
 ) -> None:
     target = tmp_path / "out.svo.h5"
-    mesh = voxtool.load_mesh(models / f"{model}.obj")
-    whole = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, dim), fill=fill).digest()
-    command = f"voxelize {models}/{model}.obj --dim {dim} --fill {fill} -q -o {target}"
-    command += f" --dask {cluster.address}"
+    whole = told(f"voxelize {models}/{of} -o {target} --json")["digest"]
+    target.unlink()
+    command = f"voxelize {models}/{of} -q -o {target} --dask {cluster.address}"
     for seed in range(2):
         child = subprocess.Popen(
             [*MODULE, *command.split()], env=ENVIRONMENT, stderr=subprocess.PIPE

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import meshes
 import numpy as np
@@ -19,7 +19,7 @@ from tiles.test_flooding import scraps
 
 import voxtool
 from voxtool import tiles
-from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.errors import MemoryLimitError
 from voxtool.files import read_svo, write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.files.windows import Windows
@@ -290,11 +290,6 @@ def test_windows_in_python(name: str, models: Path, tmp_path, device: Device) ->
     target = tmp_path / "a.svo.h5"
     written = tiles.voxelize(mesh, max_memory=limit, file=target, **call)
     assert written.digest() == whole.digest() == read_svo(target).digest()
-
-
-def test_clusters_make_no_attributes(models: Path) -> None:
-    with pytest.raises(VoxtoolError, match="octrees without attributes: drop the client"):
-        tiles.voxelize(models / "bunny.obj", labels="shell", client=cast("Any", object()))
 
 
 # ---- the command line

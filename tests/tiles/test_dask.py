@@ -7,13 +7,15 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from distributed import Client, LocalCluster
 from helpers_cli import fail, run, told
+from tiles.test_attributes import warned
 
 import voxtool
 import voxtool.tiles
@@ -22,12 +24,15 @@ from voxtool.files import read_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.files.windows import Windows
 from voxtool.grid import Grid
+from voxtool.svo.attribution.request import plan_octree
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tiles import cluster
 from voxtool.tiles.cluster import connected, results
 from voxtool.tiles.make import in_memory
+from voxtool.tiles.plan import plan_spread
 from voxtool.tiles.spread import SpreadJob
+from voxtool.tiles.windows import WindowsJob
 
 
 @pytest.fixture(scope="module")
@@ -48,17 +53,28 @@ CASES = {
     "winding": ("open.obj", {}),
     "flood": ("bunny.obj", {"fill": "flood"}),
     "flood of gaps": ("open.obj", {"fill": "flood", "gap": 2}),
+    "normals": ("bunny.obj", {"mode": "surface26", "attributes": ("normal", "area")}),
+    "colours": ("parts.glb", {"with_surface": True, "attributes": ("colour",)}),
+    "normals of a flood": ("bunny.obj", {"fill": "flood", "attributes": ("normal",)}),
+    "labels and colours": ("parts.glb", {"labels": "part", "attributes": ("colour",)}),
+    "labels of surfaces": ("parts.glb", {"labels": "part", "mode": "surface6"}),
+    "labels by winding": ("open.obj", {"labels": "shell", "attributes": ("normal",)}),
+    "fractions": ("bunny.obj", {"mode": "fraction", "fraction_type": "u2"}),
+    "fractions of faces": ("open.obj", {"mode": "fraction", "face_fractions": True}),
+    "fractions of parts": ("parts.glb", {"mode": "fraction", "labels": "part"}),
 }
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_octree_is_that_of_one_process(case, client, models: Path, tmp_path) -> None:
     name, request = CASES[case]
-    mesh = load_mesh(models / name)
+    mesh = load_mesh(models / name, keep=("parts", "appearance"))
     grid = Grid.fit(mesh, 300).window((40, 6, 0), (260, 202, 280))  # neither a cube nor aligned
-    whole = voxtool.voxelize(mesh, grid, **request)
+    whole, said = warned(lambda: voxtool.voxelize(mesh, grid, **request))
     target = tmp_path / "a.svo.h5"
-    made = voxtool.tiles.voxelize(mesh, grid, client=client, file=target, **request)
+    call = partial(voxtool.tiles.voxelize, mesh, grid, client=client, file=target, **request)
+    made, said_of_parts = warned(call)
+    assert said_of_parts == said
     assert made.digest() == whole.digest() == read_svo(target).digest()
     assert os.listdir(tmp_path) == ["a.svo.h5"]
 
@@ -95,6 +111,70 @@ def test_windows_that_do_not_fit_are_halved(spread, surface: Octree, monkeypatch
     made = job.run()
     assert {key[3] for key in job._divided} == {128, 256}
     assert in_memory(made) == surface
+
+
+WITH_VALUES = {
+    "labels": {"labels": "part", "attributes": ("normal",)},
+    "fractions": {"mode": "fraction", "face_fractions": True},
+}
+
+
+def planner(models: Path, name: str) -> Callable[[], Any]:
+    """Return a function that plans one of WITH_VALUES in one piece."""
+    mesh = load_mesh(models / "parts.glb", keep=("parts",))
+    request: dict[str, Any] = {"mode": "solid", **WITH_VALUES[name]}
+    return partial(plan_octree, mesh, Grid.fit(mesh, 300), **request)
+
+
+@pytest.mark.parametrize("name", WITH_VALUES)
+def test_values_of_voxels_that_workers_lose_or_send(
+    name: str, client: Client, models: Path, tmp_path, monkeypatch
+) -> None:
+    """A worker is killed, and none sees the folder of windows, or writes into another one."""
+    whole = planner(models, name)
+    octree, _ = warned(whole().run)
+    reports: list[int] = []
+
+    def kill(_: WindowsJob, __: str = "") -> None:
+        reports.append(1)
+        if len(reports) == 3 and place == "seen":
+            os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
+
+    for place in ("seen", "elsewhere", "nowhere"):
+        reports.clear()
+        job = plan_spread(whole(), client)
+        with monkeypatch.context() as patch, Windows(str(tmp_path / "a"), job.request) as job.store:
+            patch.setattr(WindowsJob, "_report", kill)
+            if place == "elsewhere":
+                patch.setattr(Windows, "take_note", lambda *_: False)
+            if place == "nowhere":
+                job.store.place = "/nowhere", ""
+            made, _ = warned(job.run)
+            assert in_memory(made) == octree
+            assert len(reports) == job.plan.count
+
+
+@pytest.mark.parametrize("name", WITH_VALUES)
+def test_a_killed_run_goes_on(
+    name: str, client: Client, models: Path, tmp_path, monkeypatch
+) -> None:
+    whole = planner(models, name)
+    octree, _ = warned(whole().run)
+    reports: list[int] = []
+
+    def die(_: WindowsJob, __: str = "") -> None:
+        reports.append(1)
+        if len(reports) == 20:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(WindowsJob, "_report", die)
+    for _ in range(2):
+        job = plan_spread(whole(), client)
+        store = Windows(str(tmp_path / "a"), job.request, resume=True)
+        with suppress(KeyboardInterrupt), store as job.store:
+            made, _ = warned(job.run)
+            assert in_memory(made) == octree
+    assert job.plan.count <= len(reports) <= job.plan.count + 1
 
 
 @pytest.mark.parametrize("seen", [True, False], ids=["seen", "elsewhere"])
@@ -148,6 +228,26 @@ def test_the_command_line(here: Path) -> None:
     assert not Path("parts.svo.h5.windows").exists()
     for name in ("digest", "voxels", "nodes", "bricks", "bytes", "grid", "fill"):
         assert parts[name] == whole[name]
+
+
+def test_files_become_labels_on_the_command_line(here: Path) -> None:
+    command = "voxelize bunny.obj open.obj --dim 150 --labels file --attributes normal --json"
+    whole = told(f"{command} -o whole.svo.h5")
+    parts = told(f"{command} -o parts.svo.h5 --dask local --workers 1")
+    same = {*whole} - {"output", "stages", "seconds"}
+    assert {key: parts[key] for key in same} == {key: whole[key] for key in same}
+    assert Path("parts.svo.h5").read_bytes() == Path("whole.svo.h5").read_bytes()
+
+
+def test_bars_on_the_command_line(here: Path) -> None:
+    command = "voxelize bunny.obj --dim 200 --mode fraction --face-fractions"
+    command += " -o parts.svo.h5 --dask local --workers 2"
+    assert "64 x 64 voxels across, made by 2 workers of Dask" in run(f"{command} --plan").stdout
+    plan: dict = told(f"{command} --plan --json")
+    assert plan["workers"] == 2 < plan["windows"]
+    assert "--labels makes one octree: drop --workers" in fail(
+        "voxelize bunny.obj open.obj --labels file --workers 2", 2
+    )
 
 
 @pytest.mark.parametrize("more", ["--mode surface26", "--fill parity", "--fill flood"])

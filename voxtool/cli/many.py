@@ -70,14 +70,15 @@ def mesh_argument(
         def command(mesh: tuple[str, ...], **values: Any) -> None:
             own = {name: values.pop(name) for name in (WAYS - SHARED) & values.keys()}
             meshes, values = arrange(mesh, values)
+            more = {name: own[name] for name in ("dask", "workers")} if divides else {}
             if own["as_worker"]:
                 serve(call, values)
             elif values.get("labels") and len(meshes) > 1:
-                if given := [name for name in ("workers", "shard", "dask") if own[name]]:
+                refused = ("shard",) if own["dask"] else ("shard", "workers")
+                if given := [name for name in refused if own[name]]:
                     raise click.UsageError(f"--labels makes one octree: drop --{given[0]}")
-                call(mesh=meshes[0], others=meshes[1:], **values)
+                call(mesh=meshes[0], others=meshes[1:], **values, **more)
             elif is_one(meshes, values.get("output"), own, divides):
-                more = {name: own[name] for name in ("dask", "workers")} if divides else {}
                 call(mesh=meshes[0], **values, **more)
             else:
                 Many(meshes, values, (kind, form), **own).run()

@@ -133,8 +133,7 @@ def command(
         name = "--face-fractions" if face_fractions else "--fraction-type"
         raise click.UsageError(f"{name} goes with --mode {FRACTION}, not {mode}")
     if mode == FRACTION:
-        given = {"--with-surface": with_surface, "--attributes": attributes, "--dag": dag,
-                 "--dask": dask}  # fmt: skip
+        given = {"--with-surface": with_surface, "--attributes": attributes, "--dag": dag}
         check_fraction(fill, given)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
@@ -143,15 +142,15 @@ def command(
     attributes = attributes or []
     if colour and "colour" not in attributes:
         raise click.UsageError("--colour goes with --attributes colour")
-    check_attributes(attributes, {"--dag": dag, "--thin": thin, "--dask": bool(dask)})
+    check_attributes(attributes, {"--dag": dag, "--thin": thin})
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
     if labels and face_fractions:
         raise click.UsageError("--face-fractions are of a solid without --labels: drop one")
     if priority and not labels:
         raise click.UsageError("--priority goes with --labels: give both")
-    if labels and (dag or thin or dask):
-        raise click.UsageError("--labels: not with --dag, --thin and --dask: drop them")
+    if labels and (dag or thin):
+        raise click.UsageError("--labels: not with --dag and --thin: drop them")
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.attribution.request import kept_for, plan_octree
     from voxtool.svo.merged import MergedOctree
@@ -183,10 +182,10 @@ def command(
         parts = None
         if dask:
             from voxtool.tiles.cluster import connected
-            from voxtool.tiles.spread import spread
+            from voxtool.tiles.plan import plan_spread
 
             client = stack.enter_context(connected(dask, workers))
-            parts = run.stage("plan windows", spread, job, client, run.device_name, merged=dag)
+            parts = run.stage("plan windows", plan_spread, job, client, run.device_name, merged=dag)
         elif windows != "never" and not thin and run.file_format == "svo.h5" and not fits(job, dag):
             parts = run.stage("plan windows", windows_of, job, dag)
         if parts and dag and run.to_stdout and not dask:

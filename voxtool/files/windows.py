@@ -170,8 +170,12 @@ class Windows:
         """Count a window that another process wrote into the folder (`write_beside`); return
         whether its files are there."""
         size = sum(line["levels"]) + BRICK.itemsize * line["bricks"]
+        for name, about in line["attributes"].items():
+            value = max(KINDS[name].channels, 1) * np.dtype(about["dtype"]).itemsize
+            size += value * (about["values"] + about["leaves"])
+            size += BRICK.itemsize * line["bricks"] * about["masked"]
         try:
-            paths = _paths(self.folder, line["window"], line["files"])
+            paths = _all_paths(self.folder, line["window"], line)
             if sum(path.stat().st_size for path in paths) != size:
                 return False
         except OSError:
@@ -251,12 +255,7 @@ class Windows:
     def _digest(self, key: Key, line: dict[str, Any]) -> str:
         """Return the SHA-256 of the files of a window."""
         sha = hashlib.sha256()
-        attributes = (
-            _attribute_path(self.folder, key, name, part)
-            for name, about in line.get("attributes", {}).items()
-            for part in PARTS[not about["masked"] :]
-        )
-        for path in (*_paths(self.folder, key, line["files"]), *attributes):
+        for path in _all_paths(self.folder, key, line):
             sha.update(path.read_bytes())
         return sha.hexdigest()
 
@@ -308,6 +307,16 @@ def _paths(folder: Path, key: Key, count: int) -> list[Path]:
     """Return the files of a window: the states, then blocks of bricks."""
     name = "-".join(map(str, key))
     return [folder / f"{name}.{number}" for number in range(count)]
+
+
+def _all_paths(folder: Path, key: Key, line: dict[str, Any]) -> list[Path]:
+    """Return the files of a window, and those of its attributes, given its line of the journal."""
+    attributes = [
+        _attribute_path(folder, key, name, part)
+        for name, about in line.get("attributes", {}).items()
+        for part in PARTS[not about["masked"] :]
+    ]
+    return [*_paths(folder, key, line["files"]), *attributes]
 
 
 def _attribute_path(folder: Path, key: Key, name: str, part: str) -> Path:

@@ -14,18 +14,16 @@ import numpy as np
 from voxtool.arrays import digest_of
 from voxtool.choices import COLOURS
 from voxtool.files.windows import Key, Window
-from voxtool.job import Job
 from voxtool.mesh.appearance import Appearance
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.look import textures_of
 from voxtool.svo.attribution.surface_pass import without_values
-from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.flooding import FloodWindowsJob, filled
 from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.subtree import codes_of
-from voxtool.tiles.windows import MARGIN, WindowsJob, attributed, mesh_of
+from voxtool.tiles.windows import MARGIN, Content, WindowsJob, attributed, mesh_of
 
 
 class AttributeWindowsJob(WindowsJob):
@@ -51,7 +49,7 @@ class AttributeWindowsJob(WindowsJob):
             found["appearance"] = _digest_of(job.mesh.appearance)
         return found
 
-    def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> Job[Octree]:
+    def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> SurfaceAttributesJob:
         whole = self._whole_job
         mesh = mesh_of(whole.mesh, self._faces_near(key, faces, MARGIN, rows=False))
         colour = COLOURS[whole.plan.nearest]
@@ -74,11 +72,16 @@ class FloodAttributeWindowsJob(AttributeWindowsJob, FloodWindowsJob):
     """A flood with attributes of the surface that runs window by window."""
 
     def _finished(self, key: Key, faces: np.ndarray) -> Window:
-        job: Any = self._job(key, faces)
-        levels, bricks, voxels = filled(job, self._outside[key])
-        made: Any = self._complete(job, key, faces)
-        found = made.surface_values().attributes(codes_of(levels), bricks)
-        return Window.of(levels, bricks, voxels, found)
+        job = self._job(key, faces)
+        content = filled(job, self._outside[key])
+        return flooded(self._complete(job, key, faces), content)
+
+
+def flooded(job: SurfaceAttributesJob, content: Content) -> Window:
+    """Return the window of a flood with attributes of the surface, given its octree."""
+    levels, bricks, voxels = content
+    found = job.surface_values().attributes(codes_of(levels), bricks)
+    return Window.of(levels, bricks, voxels, found)
 
 
 class LabelAttributeWindowsJob(AttributeWindowsJob, LabelWindowsJob):

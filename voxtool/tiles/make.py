@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from voxtool.choices import COLOURS, DEFAULT_MODE, ELEMENTS, OPERATIONS, PRIORITIES
-from voxtool.errors import GridError, VoxtoolError
+from voxtool.errors import GridError
 from voxtool.files import write_svo
 from voxtool.files.mesh import as_mesh
 from voxtool.files.windows import Windows
@@ -21,13 +21,11 @@ from voxtool.svo.attribution.request import kept_for, plan_octree
 from voxtool.svo.booleans import plan_combine
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.combining import CombineWindowsJob
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.operations import OperationJob
-from voxtool.tiles.plan import plan_windows
-from voxtool.tiles.spread import spread
+from voxtool.tiles.plan import plan_spread, plan_windows
 from voxtool.tiles.windows import WindowsJob
 
 if TYPE_CHECKING:
@@ -65,7 +63,6 @@ def voxelize(
         As for `voxtool.voxelize`.
     client
         A `distributed.Client`, whose workers make the windows; this process makes them by default.
-        Not with attributes.
     file
         A .svo.h5 to write. Then the octree need not fit in memory.
     resume
@@ -103,12 +100,7 @@ def voxelize(
         priority=priority, attributes=attributes, colour=colour, device=device,
         max_memory=max_memory,
     )  # fmt: skip
-    if client is None:
-        job = plan_windows(whole)
-    elif isinstance(whole, VoxelizeJob):
-        job = spread(whole, client)
-    else:
-        raise VoxtoolError("workers of a cluster make octrees without attributes: drop the client")
+    job = plan_windows(whole) if client is None else plan_spread(whole, client)
     if file is not None:
         return _written(job, file, resume)
     with tempfile.TemporaryDirectory(prefix="voxtool-") as folder:

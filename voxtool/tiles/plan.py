@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.fraction import FractionJob
@@ -17,7 +17,21 @@ from voxtool.tiles.flooding import FloodMergingJob, FloodWindowsJob
 from voxtool.tiles.fractions import FractionWindowsJob, PartFractionWindowsJob
 from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.merging import MergingJob
+from voxtool.tiles.spread import (
+    SpreadAttributeJob,
+    SpreadFloodAttributeJob,
+    SpreadFloodJob,
+    SpreadFloodMergingJob,
+    SpreadJob,
+    SpreadLabelAttributeJob,
+    SpreadLabelJob,
+    SpreadMergingJob,
+)
+from voxtool.tiles.spread_bars import SpreadBarsJob, SpreadFractionJob, SpreadPartFractionJob
 from voxtool.tiles.windows import WindowsJob
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 def plan_windows(whole: Any, *, merged: bool = False) -> WindowsJob:
@@ -37,3 +51,32 @@ def plan_windows(whole: Any, *, merged: bool = False) -> WindowsJob:
     if whole.plan.fill == "flood":
         return FloodMergingJob(whole) if merged else FloodWindowsJob(whole)
     return MergingJob(whole) if merged else WindowsJob(whole)
+
+
+def plan_spread(
+    whole: Any, client: Client, device_name: str | None = None, *, merged: bool = False
+) -> SpreadJob | SpreadBarsJob:
+    """Return the job of a voxelization, which may have attributes, whose windows the workers of a
+    cluster make; with `merged` one that merges subtrees.
+
+    Parameters
+    ----------
+    device_name : the device of a worker, as --device takes it.
+    """
+    return _kind_of_spread(whole, merged)(whole, client, device_name)
+
+
+def _kind_of_spread(whole: Any, merged: bool) -> type[SpreadJob | SpreadBarsJob]:
+    if isinstance(whole, SurfaceAttributesJob):
+        if isinstance(whole.inner, PartLabelsJob):
+            return SpreadLabelAttributeJob
+        return SpreadFloodAttributeJob if whole.inner.plan.fill == "flood" else SpreadAttributeJob
+    if isinstance(whole, FractionJob):
+        return SpreadFractionJob
+    if isinstance(whole, PartFractionsJob):
+        return SpreadPartFractionJob
+    if isinstance(whole, PartLabelsJob):
+        return SpreadLabelJob
+    if whole.plan.fill == "flood":
+        return SpreadFloodMergingJob if merged else SpreadFloodJob
+    return SpreadMergingJob if merged else SpreadJob

@@ -7,44 +7,45 @@ does not fit comes back, to be halved again. With `--dag` workers merge the wind
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.choices import COLOURS
 from voxtool.errors import count_of, human
-from voxtool.files.windows import Key, Window, Windows, write_beside
-from voxtool.grid import Grid
+from voxtool.files.windows import Key, Window, Windows
 from voxtool.job import Cost
 from voxtool.mesh.mesh import Mesh
-from voxtool.opencl import shared_device
+from voxtool.svo.attribution.labels_window import PartsOfWindows
 from voxtool.svo.fill.pieces import Shared
-from voxtool.svo.flood_window import FloodWindowJob
-from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
-from voxtool.svo.merge import Subtrees, merge
-from voxtool.svo.plan import VoxelizePlan
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
-from voxtool.tiles.cluster import results, threads_of
-from voxtool.tiles.flooding import OUTSIDE, FloodWindowsJob, filled
-from voxtool.tiles.merging import MergingJob, merging_shortage, window_of
+from voxtool.svo.merge import Subtrees
+from voxtool.tiles.attributed import (
+    AttributeWindowsJob,
+    FloodAttributeWindowsJob,
+    LabelAttributeWindowsJob,
+)
+from voxtool.tiles.cluster import results, sent_once, threads_of
+from voxtool.tiles.flooding import OUTSIDE, FloodWindowsJob
+from voxtool.tiles.labelled import LabelWindowsJob
+from voxtool.tiles.merging import MergingJob
 from voxtool.tiles.subtree import Subtree
 from voxtool.tiles.windows import (
-    Content,
+    MARGIN,
     Part,
     WindowsJob,
     WindowsPlan,
-    content_of,
     halves_of,
-    refuse_smallest,
+    mesh_of,
     shape_of,
+    stored_bytes,
 )
+from voxtool.tiles.workers import Described, Made, Place, flood_window, label_window, make_window
 
 if TYPE_CHECKING:
     from distributed import Client
 
 Wanted = tuple[Key, np.ndarray]  # a window, and the faces that can change it
-Made = Window | dict[str, Any]  # a window, or what the journal says of it if it is on disk
-Place = tuple[str, str]  # where windows wait, and the first line of the journal there
 SHARE = 8  # windows of a worker, at least, so that all of them end at about the same time
 
 
@@ -69,7 +70,7 @@ class SpreadPlan(WindowsPlan):
     def disk(self) -> int:
         """Predicted bytes of the file, and at most of the windows that wait for it; 0 of merged
         subtrees, whose number is not known."""
-        return (NODE_BYTES * self.whole.nodes + BRICK_BYTES * self.whole.bricks) * (not self.merged)
+        return stored_bytes(self.whole) * (not self.merged)
 
     def as_dict(self) -> dict[str, Any]:
         """All of the plan in JSON types."""
@@ -99,14 +100,14 @@ class SpreadJob(WindowsJob):
 
     Parameters
     ----------
-    whole : the voxelization; its max_memory is what each worker may take.
+    whole : the voxelization in one piece; its max_memory is what each worker may take.
     client : of the cluster.
     device_name : the device of a worker, as --device takes it.
     """
 
     merged = False
 
-    def __init__(self, whole: VoxelizeJob, client: Client, device_name: str | None = None) -> None:
+    def __init__(self, whole: Any, client: Client, device_name: str | None = None) -> None:
         self.client, self.device_name = client, device_name
         self._divided: dict[Key, Part] = {}
         super().__init__(whole)
@@ -127,7 +128,7 @@ class SpreadJob(WindowsJob):
         return self._planned(part_of(self.root))
 
     def _planned(self, root: Part) -> SpreadPlan:
-        return SpreadPlan(self.whole.plan, root, threads_of(self.client), self.merged)
+        return SpreadPlan(self._whole_plan, root, threads_of(self.client), self.merged)
 
     def _halved(self) -> tuple[int, list[Wanted]]:
         """Return the windows of one side that are enough for the workers, and the side."""
@@ -154,13 +155,7 @@ class SpreadJob(WindowsJob):
 
     def _make(self, missing: Iterable[Wanted]) -> None:
         """Have windows made; they wait on disk."""
-        send = self._sender()
-
-        def submit(wanted: Wanted) -> Any:
-            key, faces = wanted
-            given = (send(faces), self.grid, key, self._options, self.device_name)
-            return self.client.submit(make_window, *given, self.merged, self._place, pure=False)
-
+        submit = self._submitter()
         while True:
             smaller: list[Wanted] = []
             for (key, faces), made in results(self.client, submit, missing):
@@ -187,20 +182,26 @@ class SpreadJob(WindowsJob):
         self._report()
         return []
 
+    def _submitter(self) -> Callable[[Wanted], Any]:
+        """Return a function that submits a window, to be made."""
+        send, describe = self._sender(), self._describer()
+
+        def submit(wanted: Wanted) -> Any:
+            key, faces = wanted
+            given = (send(faces), self.grid, key, self._options, self.device_name)
+            of = (self.merged, self._place, describe(key, faces))
+            return self.client.submit(make_window, *given, *of, pure=False)
+
+        return submit
+
     def _sender(self) -> Callable[[np.ndarray], Any]:
-        """Return a function that returns the mesh of some faces, or what stands for it in a call:
-        the whole mesh is sent once."""
-        whole: Any = None
+        """Return a function that returns the mesh of some faces, or what stands for it in a
+        call."""
+        return mesh_sender(self.client, self.mesh, whole=self.whole.plan.fill == "winding")
 
-        def send(faces: np.ndarray) -> Any:
-            nonlocal whole
-            if self.whole.plan.fill != "winding":
-                return self._mesh_of(faces)
-            if whole is None or whole.cancelled():  # it is lost with a scheduler
-                whole = self.client.scatter(self.mesh)
-            return whole
-
-        return send
+    def _describer(self) -> Callable[[Key, np.ndarray], Described | None]:
+        """Return a function that returns what a worker needs for the attributes of a window."""
+        return lambda key, faces: None
 
     def _made(self, part: Part) -> Subtree:
         return super()._made(self._divided.get(part.key, part))
@@ -238,28 +239,24 @@ class SpreadFloodJob(SpreadJob, FloodWindowsJob):
 
     def _shares(self) -> Iterator[tuple[Key, Shared]]:
         found = {}
-        for (key, _), shared in results(self.client, self._submitter(), self._windows):
+        for (key, _), shared in results(self.client, self._flooder(), self._windows):
             self._report(OUTSIDE)
             found[key] = shared
         for key, _ in self._windows:
             yield key, found.pop(key)
 
-    def _make(self, missing: Iterable[Wanted]) -> None:
-        while missing:
-            again: list[Wanted] = []
-            for (key, faces), made in results(self.client, self._submitter(self._outside), missing):
-                again += self._take(key, faces, made)
-            missing = again
+    def _submitter(self) -> Callable[[Wanted], Any]:
+        return self._flooder(self._outside)
 
-    def _submitter(self, outside: Mapping[Key, np.ndarray] | None = None) -> Any:
+    def _flooder(self, outside: Mapping[Key, np.ndarray] | None = None) -> Callable[[Wanted], Any]:
         """Return a function that submits a window: for what it shares, or to be filled."""
-        send = self._sender()
+        send, describe = self._sender(), self._describer()
 
         def submit(wanted: Wanted) -> Any:
             key, faces = wanted
             given = (send(faces), self.grid, self.whole.plan, key, self.max_memory)
-            roots = None if outside is None else outside[key]
-            of = (self.device_name, roots, self.merged, self._place)
+            filled = (None, None) if outside is None else (outside[key], describe(key, faces))
+            of = (self.device_name, *filled, self.merged, self._place)
             return self.client.submit(flood_window, *given, *of, pure=False)
 
         return submit
@@ -269,62 +266,71 @@ class SpreadFloodMergingJob(SpreadFloodJob, SpreadMergingJob):
     """A flood whose windows the workers of a Dask cluster make and merge."""
 
 
-def spread(
-    whole: VoxelizeJob, client: Client, device_name: str | None = None, *, merged: bool = False
-) -> SpreadJob:
-    """Return the job of a voxelization by the workers of a cluster, with `merged` one that merges
-    subtrees."""
-    if whole.plan.fill == "flood":
-        kind = SpreadFloodMergingJob if merged else SpreadFloodJob
-    else:
-        kind = SpreadMergingJob if merged else SpreadJob
-    return kind(whole, client, device_name)
+class SpreadAttributeJob(SpreadJob, AttributeWindowsJob):
+    """A voxelization with attributes of the surface whose windows workers make."""
+
+    def _describer(self) -> Callable[[Key, np.ndarray], Described]:
+        plan, whole = self._whole_job.plan, replace(self._whole_job.mesh, parts={})
+        if "colour" not in plan.names:
+            whole = replace(whole, appearance=None)
+        materials = sent_once(self.client, whole.appearance and whole.appearance.materials)
+
+        def describe(key: Key, faces: np.ndarray) -> Described:
+            mesh = mesh_of(whole, self._faces_near(key, faces, MARGIN, rows=False))
+            look = mesh.appearance and replace(mesh.appearance, materials=())
+            return {
+                "mesh": replace(mesh, appearance=None), "look": look,
+                "materials": look and materials(), "names": plan.names,
+                "colour": COLOURS[plan.nearest],
+            }  # fmt: skip
+
+        return describe
 
 
-def make_window(
-    mesh: Mesh,
-    grid: Grid,
-    key: Key,
-    options: dict[str, Any],
-    device_name: str | None,
-    merged: bool,
-    place: Place | None,
-) -> Made | None:
-    """Return a window, made in a worker and with `merged` merged there; what a journal says of it
-    if it was written in `place`; None if it does not fit in the memory that the worker may take."""
-    from distributed import get_worker
-
-    if options["max_memory"] is None:
-        limit = get_worker().memory_manager.memory_limit  # None if it has none
-        options = {**options, "max_memory": limit and limit // 2}  # half is for results
-    window = key[:3], shape_of(key, grid)
-    job = plan_voxelize(mesh, grid, window=window, device=shared_device(device_name), **options)
-    shortage = merging_shortage(job) if merged else job.shortage
-    if not shortage:
-        return _made(key, content_of(job, key[3]), merged, place)
-    refuse_smallest(key, shortage)
-    return None
+class SpreadFloodAttributeJob(SpreadFloodJob, SpreadAttributeJob, FloodAttributeWindowsJob):
+    """A flood with attributes of the surface whose windows workers make."""
 
 
-def flood_window(
-    mesh: Mesh,
-    grid: Grid,
-    whole: VoxelizePlan,
-    key: Key,
-    max_memory: int | None,
-    device_name: str | None,
-    outside: np.ndarray | None,
-    merged: bool,
-    place: Place | None,
-) -> Shared | Made:
-    """Return the pieces of free space that a window shares with others or, given the roots of its
-    pieces that are outside, the window as `make_window` does."""
-    job = FloodWindowJob(mesh, grid, whole, key, shared_device(device_name), max_memory)
-    return job.shared() if outside is None else _made(key, filled(job, outside), merged, place)
+class SpreadLabelJob(SpreadJob, LabelWindowsJob):
+    """A voxelization with labels whose windows workers make."""
+
+    def _submitter(self) -> Callable[[Wanted], Any]:
+        send, describe = parts_sender(self.client, self._parts, self._wound), self._describer()
+
+        def submit(wanted: Wanted) -> Any:
+            key, faces = wanted
+            given = (*send(faces), key, self.max_memory, self.device_name, self._place)
+            return self.client.submit(label_window, *given, describe(key, faces), pure=False)
+
+        return submit
 
 
-def _made(key: Key, content: Content, merged: bool, place: Place | None) -> Made:
-    """Return a window, or what a journal says of it if this worker sees the place."""
-    levels, bricks, _ = content
-    window = window_of(merge(levels[::-1], bricks)) if merged else Window.of(*content)
-    return (place and write_beside(place, key, window)) or window
+class SpreadLabelAttributeJob(SpreadLabelJob, SpreadAttributeJob, LabelAttributeWindowsJob):
+    """A voxelization with labels and attributes of the surface whose windows workers make."""
+
+
+def mesh_sender(client: Client, mesh: Mesh, *, whole: bool) -> Callable[[np.ndarray], Any]:
+    """Return a function that returns the mesh of some faces, or what stands for it in a call; with
+    `whole` all take the whole mesh, which is sent once."""
+    bare = replace(mesh, parts={}, appearance=None)
+    if not whole:
+        return lambda faces: mesh_of(bare, faces)
+    sent = sent_once(client, bare)
+    return lambda _: sent()
+
+
+def parts_sender(
+    client: Client, parts: PartsOfWindows, wound: np.ndarray
+) -> Callable[[np.ndarray], tuple[Any, np.ndarray]]:
+    """Return a function that returns the parts of some faces, or what stands for them in a call,
+    and the numbers of these faces there: all parts are sent once if some are filled by their
+    winding number, as windows take these wholly.
+
+    Parameters
+    ----------
+    wound : (F,) bool, which faces are of such parts.
+    """
+    if not wound.any():
+        return lambda faces: (parts.sent(faces), np.arange(len(faces)))
+    whole = sent_once(client, parts.sent(np.arange(len(wound))))
+    return lambda faces: (whole(), faces)
