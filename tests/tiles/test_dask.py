@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -19,20 +20,21 @@ from tiles.test_attributes import warned
 
 import voxtool
 import voxtool.tiles
-from voxtool.errors import DeviceError
+from voxtool.errors import DeviceError, MemoryLimitError
 from voxtool.files import read_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.files.windows import Windows
 from voxtool.grid import Grid
 from voxtool.svo.attribution.request import plan_octree
+from voxtool.svo.layout import MAX_LINK
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tiles import cluster
 from voxtool.tiles.cluster import connected, results
 from voxtool.tiles.make import in_memory
 from voxtool.tiles.plan import plan_spread
-from voxtool.tiles.spread import SpreadJob
-from voxtool.tiles.windows import WindowsJob
+from voxtool.tiles.spread import SpreadJob, SpreadPlan
+from voxtool.tiles.windows import Part, WindowsJob
 
 
 @pytest.fixture(scope="module")
@@ -119,11 +121,24 @@ WITH_VALUES = {
 }
 
 
-def planner(models: Path, name: str) -> Callable[[], Any]:
+def planner(models: Path, name: str) -> Callable[..., Any]:
     """Return a function that plans one of WITH_VALUES in one piece."""
     mesh = load_mesh(models / "parts.glb", keep=("parts",))
     request: dict[str, Any] = {"mode": "solid", **WITH_VALUES[name]}
     return partial(plan_octree, mesh, Grid.fit(mesh, 300), **request)
+
+
+def test_windows_with_values_that_do_not_fit_are_halved(
+    client, models, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr("voxtool.tiles.spread.SHARE", 1)
+    whole = planner(models, "labels")
+    octree, _ = warned(whole().run)
+    job = plan_spread(whole(max_memory=2_500_000), client)
+    with Windows(str(tmp_path / "a"), job.request) as job.store:
+        made, _ = warned(job.run)
+        assert in_memory(made) == octree
+    assert job._divided  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.parametrize("name", WITH_VALUES)
@@ -175,6 +190,13 @@ def test_a_killed_run_goes_on(
             made, _ = warned(job.run)
             assert in_memory(made) == octree
     assert job.plan.count <= len(reports) <= job.plan.count + 1
+
+
+def test_more_nodes_than_links_reach_are_refused() -> None:
+    whole, part = SimpleNamespace(nodes=MAX_LINK, bricks=0), Part((0, 0, 0, 8))
+    SpreadPlan(whole, part, merged=True).refuse_beyond(0, 0)
+    with pytest.raises(MemoryLimitError, match="nodes exceeds links of 30 bits"):
+        SpreadPlan(whole, part).refuse_beyond(0, 0)
 
 
 @pytest.mark.parametrize("seen", [True, False], ids=["seen", "elsewhere"])

@@ -15,10 +15,11 @@ from helpers_cli import fail, run, told
 from voxtool.errors import FileError
 from voxtool.files import read_svo
 from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Windows
+from voxtool.files.windows import Window, Windows, write_beside
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
+from voxtool.svo.attributes import Attribute
 from voxtool.svo.links import nodes_of, offsets_of
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
@@ -199,3 +200,16 @@ def test_a_disk_without_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert not (tmp_path / "x.svo.h5.windows").exists()
     with Windows(target, {}, needed=900) as store:
         assert json.loads((store.folder / "windows.jsonl").read_text())["request"] == {}
+
+
+def test_what_another_process_wrote_counts_if_it_is_whole(tmp_path: Path) -> None:
+    masks, values = np.array([5, 1], np.uint64), np.zeros((3, 3), "f4")
+    normal = Attribute("normal", values, values[:0], masks, (0, 0, 0))
+    window = Window.of([np.zeros(1, np.uint8)], masks, 3, [normal])
+    with Windows(str(tmp_path / "a"), {}) as store:
+        line = write_beside(store.place, (0, 0, 0, 8), window)
+        assert line
+        assert store.take_note(line)
+        file = store.folder / "0-0-0-8.normal.values"
+        file.write_bytes(file.read_bytes()[:-4])
+        assert not store.take_note(line)

@@ -67,6 +67,11 @@ class SpreadPlan(WindowsPlan):
         return Cost(device=0, host=2 * (self.whole.nodes - self.whole.bricks))
 
     @property
+    def nodes(self) -> int:
+        """Predicted number of nodes of the octree; plans of windows are not known here."""
+        return self.whole.nodes
+
+    @property
     def disk(self) -> int:
         """Predicted bytes of the file, and at most of the windows that wait for it; 0 of merged
         subtrees, whose number is not known."""

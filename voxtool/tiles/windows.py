@@ -95,6 +95,11 @@ class WindowsPlan:
         )
 
     @property
+    def nodes(self) -> int:
+        """Predicted number of nodes of the octree."""
+        return sum(plan.nodes for plan in self.plans)
+
+    @property
     def disk(self) -> int:
         """Predicted bytes of the file, and at most of the windows that wait for it."""
         return sum(stored_bytes(plan) for plan in self.plans)
@@ -118,11 +123,10 @@ class WindowsPlan:
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the octree has too many nodes; every window fits."""
-        nodes = sum(plan.nodes for plan in self.plans)
-        if nodes >= MAX_LINK:
+        if self.nodes >= MAX_LINK:
             raise MemoryLimitError(
-                f"an octree of about {nodes:,} nodes exceeds links of 30 bits: choose a smaller "
-                "dim, or store equal subtrees once (--dag)"
+                f"an octree of about {self.nodes:,} nodes exceeds links of 30 bits: choose a "
+                "smaller dim, or store equal subtrees once (--dag)"
             )
 
 
