@@ -32,6 +32,9 @@ WORKS = (
     ("voxelize {armadillo} --mode surface26 --dim 32768 -o OUT", "2G"),
     ("voxelize {subdivided} --mode surface26 --dim 16384 -o OUT", "3G"),
     ("voxelize {bunny} --mode surface26 --dim 16384 --dag -o OUT", "1G"),
+    ("voxelize {bunny} --mode surface26 --dim 2048 --attributes normal,area -o OUT", "100M"),
+    ("voxelize {armadillo} --mode fraction --dim 1536 -o OUT", "40M"),
+    ("adf-build {bunny} --tolerance 1e-4 --max-level 9 -o OUT", "512M"),
     ("voxelize {armadillo} --dim 8192 -o solid.svo.h5", ""),
     ("voxelize {armadillo} --mode surface26 --dim 8192 -o surface.svo.h5", ""),
     ("combine solid.svo.h5 surface.svo.h5 --op difference -o OUT", "512M"),
@@ -40,7 +43,8 @@ WORKS = (
     ("export surface.svo.h5 -o OUT", "512M"),
     ("render surface.svo.h5 --level 3 -o OUT", "128M"),
 )
-ENDINGS = {"extract": ".ply", "export": ".ply", "render": ".png"}  # of others .svo.h5
+# of the files of commands; of others .svo.h5
+ENDINGS = {"extract": ".ply", "export": ".ply", "render": ".png", "adf-build": ".adf.h5"}
 TIMES = 4  # that each triangle is cut in four
 
 
