@@ -135,7 +135,7 @@ def test_plan(folder: Path) -> None:
         ("--normals", 2, "--normals is of a single surface"),
         ("--scale 2", 2, "--scale is of a single surface"),
         ("--offset 0", 2, "--offset is of a single surface"),
-        ("--max-memory 1000", 4, "would need"),
+        ("--max-memory 1000", 4, "with its attribute label need"),
     ],
 )
 def test_refusals(folder: Path, options: str, code: int, message: str) -> None:

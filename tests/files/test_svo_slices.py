@@ -11,9 +11,10 @@ import pytest
 from helpers_attributes import attributed
 
 from voxtool.arrays import Slices
-from voxtool.errors import FileError
+from voxtool.errors import FileError, MemoryLimitError
 from voxtool.files import open_svo, write_svo
 from voxtool.svo import attributes
+from voxtool.svo.merged import in_memory
 from voxtool.svo.octree import Octree
 
 
@@ -32,7 +33,7 @@ def test_a_stored_octree_is_described_as_in_memory(names, stored: Path) -> None:
     if names:
         octree = replace(octree, attributes=tuple(map(octree.attribute, names)))
         write_svo(octree, stored)
-    with open_svo(stored, stored_attributes=True) as found:
+    with open_svo(stored) as found:
         assert not isinstance(found, Octree)
         for one in found.attributes:
             assert isinstance(one.values, Slices)
@@ -41,8 +42,21 @@ def test_a_stored_octree_is_described_as_in_memory(names, stored: Path) -> None:
         assert found.summary() == octree.summary()
         assert found.digest() == octree.digest()
         assert found.set_digest() == octree.set_digest()
+        assert in_memory(found) == octree
+
+
+def test_attributes_are_read_by_name_and_within_memory(stored: Path) -> None:
+    octree, kept = attributed(), ("label", "area")
     with open_svo(stored) as found:
-        assert found == octree
+        assert in_memory(found.only(kept)) == octree.only(kept)
+        loaded = in_memory(found, names=kept)
+        assert {type(one.values) for one in loaded.attributes} == {np.ndarray, Slices}
+        assert loaded.digest() == octree.digest()
+        size = octree.nbytes + sum(octree.attribute(name).nbytes for name in kept)
+        assert in_memory(found, size, kept)
+        message = "attributes label, area need .* are allowed: allow more"
+        with pytest.raises(MemoryLimitError, match=message):
+            in_memory(found, size - 1, kept)
 
 
 @pytest.mark.parametrize(
@@ -58,5 +72,5 @@ def test_a_damaged_attribute_is_refused(dataset: str, value, message: str, store
     with h5py.File(stored, "r+") as file:
         rows = np.flatnonzero(file["bricks"][:]) if "masks" in dataset else [-1]
         file[dataset][int(rows[-1])] = value
-    with pytest.raises(FileError, match=message), open_svo(stored, stored_attributes=True):
+    with pytest.raises(FileError, match=message), open_svo(stored):
         pass

@@ -6,18 +6,34 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers_attributes import attributed
 from helpers_cli import fail, run, told
 from helpers_merged import OCTREES
 
 import voxtool
-from voxtool.files import write_svo
+from voxtool.files import open_svo, write_svo
 from voxtool.rendering import camera_for, plan_render
-from voxtool.svo.coarsen import coarsened
+from voxtool.svo.coarsen import coarsened, fitting_octree
+from voxtool.svo.content import StoredOctree
 from voxtool.svo.counts import Counts, NodeCounts
 from voxtool.svo.merged import MergedOctree
 from voxtool.viewer.octrees import octree_content
 
 SIZE = (64, 48)
+
+
+def test_attributes_that_do_not_fit_are_left_out(tmp_path: Path) -> None:
+    octree = attributed().only(("label", "colour"))
+    write_svo(octree, tmp_path / "a.svo.h5")
+    size = sum(one.nbytes for one in octree.attributes)
+    with open_svo(tmp_path / "a.svo.h5") as stored:
+        assert isinstance(stored, StoredOctree)
+        found, level = fitting_octree(stored, "voxel", octree.nbytes + size)
+        assert (found, level) == (octree, "voxel")
+        found, level = fitting_octree(stored, "voxel", octree.nbytes + size - 1)
+        assert (found, level) == (octree.only(()), "voxel")
+        found, level = fitting_octree(stored, "voxel", octree.nbytes - 1)
+        assert isinstance(found, MergedOctree)
 
 
 @pytest.mark.parametrize("name", OCTREES)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers_attributes import attributed
 from helpers_cli import fail, run, told
 from helpers_merged import OCTREES
 
@@ -84,12 +86,14 @@ def test_parts_make_the_same_file(name: str, files, tmp_path: Path, monkeypatch)
         assert len(counts) > 1
 
 
+def held(path: Path) -> dict[str, bytes]:
+    """Return the bytes of a file, or of those of a folder."""
+    found = [p for p in path.rglob("*") if p.is_file()] or [path]
+    return {str(p.relative_to(path)): p.read_bytes() for p in found}
+
+
 def test_parts_of_a_pyramid(files, tmp_path: Path, monkeypatch) -> None:
     octree, stored = files
-
-    def held(folder: Path) -> dict[str, bytes]:
-        found = (p for p in folder.rglob("*") if p.is_file())
-        return {str(p.relative_to(folder)): p.read_bytes() for p in found}
 
     plan_export(octree, tmp_path / "a.ome.zarr", dtype="float32").run()
     parts: list[int] = []
@@ -104,6 +108,51 @@ def test_parts_of_a_pyramid(files, tmp_path: Path, monkeypatch) -> None:
         plan_export(content, tmp_path / "b.ome.zarr", dtype="float32").run()
     assert parts == [3]
     assert held(tmp_path / "a.ome.zarr") == held(tmp_path / "b.ome.zarr")
+
+
+ATTRIBUTED: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("npz", {}),
+    ("npz", {"level": 1}),  # areas are summed in units of the largest one
+    ("npz", {"level": 3}),
+    ("npy", {"attributes": "colour", "bbox": (3, 4, 5, 30, 20, 18)}),
+    ("vti", {}),
+    ("nrrd", {"attributes": "label"}),
+    ("ply", {"level": 2}),
+    ("ome.zarr", {}),
+    ("msh", {}),
+    ("inp", {"leaves": True}),
+)
+
+
+@pytest.mark.parametrize(("name", "request_"), ATTRIBUTED, ids=str)
+def test_parts_have_their_attributes(name, request_, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("voxtool.svo.attribute_parts.BLOCK", 64)  # so that there are many
+    monkeypatch.setattr("voxtool.files.ome_zarr.CHUNK", 16)
+    octree = attributed()
+    write_svo(octree, tmp_path / "a.svo.h5")
+    whole, parts = tmp_path / f"whole.{name}", tmp_path / f"parts.{name}"
+    plan_export(octree, whole, **request_).run()
+    seen, whole_part = set(), ImageInParts.part
+
+    def part(image: ImageInParts, low: Any, shape: Any) -> VoxelImage:
+        found = whole_part(image, low, shape)
+        if found.attributes:
+            seen.add(low)
+        return found
+
+    monkeypatch.setattr(ImageInParts, "part", part)
+    with open_svo(tmp_path / "a.svo.h5") as stored:
+        for power in range(12, 24):  # the least memory that suffices
+            most = (1 << power) // SHARE
+            monkeypatch.setattr(
+                "voxtool.files.exchange.fitting_image",
+                lambda image, *_, most=most: in_parts(image, most),
+            )
+            with suppress(MemoryLimitError):
+                plan_export(stored, parts, **request_).run()
+                break
+        assert len(seen) > 1
+    assert held(whole) == held(parts)
 
 
 @pytest.mark.parametrize("make", OCTREES.values(), ids=OCTREES)

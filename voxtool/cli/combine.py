@@ -47,6 +47,7 @@ def command(
       voxtool voxelize open.obj --like bunny.svo.h5 -o - | voxtool combine bunny.svo.h5 -
     """
     from voxtool.files import SVO_FORMATS, export, open_svo, write_svo
+    from voxtool.svo.attribution.carry import check_kept, kept_of
     from voxtool.svo.booleans import plan_combine
     from voxtool.tiles.combining import combine_windows
 
@@ -64,7 +65,13 @@ def command(
             octree: Any = make_in_windows(run, parts, resume, no_keep)
         else:
             if not run.only_plan:
-                job.octrees = [loaded(run, *each) for each in zip(content, octrees, strict=True)]
+                sources = job.sources
+                check_kept(sources, run.max_memory)
+                kept, count = kept_of(sources), len(sources)
+                job.octrees = [
+                    loaded(run, octree, name, kept if number < count else ())
+                    for number, (octree, name) in enumerate(zip(content, octrees, strict=True))
+                ]
             octree = run.job(job)
             run.write(export if run.file_format in EXPORTS else write_svo, octree)
     text = f"{operation}, {octree.count:,} voxels in {human(octree.nbytes)}"

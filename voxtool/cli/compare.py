@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.cli import options, runner
+from voxtool.cli.in_windows import loaded, opened
 from voxtool.cli.info import place, table
 from voxtool.errors import CheckError
 from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
@@ -36,7 +38,7 @@ def command(run: runner.Run, first: str, second: str) -> None:
       voxtool compare bunny.svo.h5 bunny.svo.h5 --json
       voxtool voxelize bunny.obj --dim 128 -o - | voxtool compare bunny.svo.h5 -
     """
-    from voxtool.files import SVO_FORMATS, export, read_svo, write_svo
+    from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.booleans import combine
     from voxtool.svo.compare import plan_compare
 
@@ -44,8 +46,8 @@ def command(run: runner.Run, first: str, second: str) -> None:
         raise options.input_twice("FIRST", "SECOND")
     if run.output:
         run.to(first, run.output, (*SVO_FORMATS, *EXPORTS))
-    with run:
-        octrees = [run.stage("read octrees", read_svo, name) for name in (first, second)]
+    with run, ExitStack() as stack:
+        octrees = [loaded(run, opened(run, name, stack), name) for name in (first, second)]
         found = run.job(run.plan(plan_compare, *octrees))
         if run.output:
             apart = combine([found.first, found.second], device=run.device)

@@ -109,6 +109,7 @@ def command(
     from voxtool.svo.content import OctreeContent
     from voxtool.svo.merged import in_memory
     from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.colours import COLOUR
     from voxtool.svo.surface.isosurface import Isosurface
 
     # named after its style: bunny.obj is the mesh that the octree was made from
@@ -136,7 +137,9 @@ def command(
             if run.file_format == "ply" and not (check or normals or against):
                 parts = possible
             if parts is None:
-                content = run.stage("read file", in_memory, content)
+                content, used = content.only(("fraction", COLOUR)), used_of(run, request)
+                with run.naming(octree):
+                    content = run.stage("read file", in_memory, content, run.max_memory, used)
         shape: Any = content
         if source is not None:
             request["source"] = run.stage(
@@ -187,13 +190,24 @@ def windows_of(
     run: runner.Run, octree: OctreeContent, request: dict[str, Any]
 ) -> SurfaceWindowsJob | None:
     """Return the extraction in windows of an octree that does not fit in memory as a whole, or
-    None if it fits, or cannot be written in windows."""
+    None if it fits, or cannot be written in windows, as with fractions or colours."""
     from voxtool.tiles.surface import plan_windows
 
     of_octree = {name: request[name] for name in ("style", "level", "isovalue", "merge")}
+    if used_of(run, request) & {one.name for one in octree.attributes}:
+        return None
     if request["offset"] is not None or request["shell"] is not None:
         return None
     return run.plan(plan_windows, octree, **of_octree)
+
+
+def used_of(run: runner.Run, request: dict[str, Any]) -> set[str]:
+    """Return the attributes of an octree that its surface needs."""
+    from voxtool.files.formats import COLOUR_FORMATS
+    from voxtool.svo.surface.colours import COLOUR
+
+    coloured = run.file_format in COLOUR_FORMATS and not request["merge"]
+    return {"fraction", COLOUR} if coloured else {"fraction"}
 
 
 def planned(

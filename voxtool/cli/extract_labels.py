@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import Any
 
 import click
 
-from voxtool.choices import VOXEL_LEVEL
+from voxtool.choices import LABEL, VOXEL_LEVEL
 from voxtool.cli import runner
 from voxtool.errors import CheckError, VoxtoolError, printable
 
@@ -25,8 +26,9 @@ def extract_labels(
     CheckError : a mesh is not closed.
     """
     from voxtool.adf.field import DistanceField
-    from voxtool.files import check_holds_parts, read_shape, write_mesh
-    from voxtool.svo.surface.colours import has_colours
+    from voxtool.files import check_holds_parts, open_shape, write_mesh
+    from voxtool.svo.merged import in_memory
+    from voxtool.svo.surface.colours import COLOUR, has_colours
     from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 
     usual = {"isovalue": 0.5, "level": VOXEL_LEVEL, "scale": 1}
@@ -36,11 +38,14 @@ def extract_labels(
     check_holds_parts(str(run.file_format))
     run.on_device = False
     facts: dict[str, Any] = {}
-    with run:
-        shape: Any = run.stage("read file", read_shape, octree)
+    with run, ExitStack() as stack:
+        shape: Any = run.stage("read file", stack.enter_context, open_shape(octree))
         with run.naming(octree):
             if isinstance(shape, DistanceField):
                 raise VoxtoolError("a field has no labels: --by is of octrees")
+            used = (LABEL, COLOUR) if run.file_format == COLOURED else (LABEL,)
+            shape = shape.only((LABEL, COLOUR))
+            shape = run.stage("read file", in_memory, shape, run.max_memory, used)
             run.on_device = run.file_format == COLOURED and has_colours(shape)
             job = run.plan(plan_labelled, shape, by=by, style=style)
             if job.plan.colours and not run.on_device:

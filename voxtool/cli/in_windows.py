@@ -10,6 +10,7 @@ from voxtool.cli import runner
 from voxtool.cli.options import flag, option, together
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
     from contextlib import ExitStack
 
     from voxtool.svo.content import OctreeContent
@@ -28,19 +29,22 @@ windows_options = together(
 
 
 def opened(run: runner.Run, name: str, stack: ExitStack) -> OctreeContent:
-    """Return an octree whose nodes stay in its file, where that is possible."""
+    """Return an octree whose nodes and attributes stay in its file, where that is possible."""
     from voxtool.files import open_svo
 
     octree: Any = run.stage("read octree", stack.enter_context, open_svo(name))
     return octree
 
 
-def loaded(run: runner.Run, octree: OctreeContent, name: str) -> Octree:
-    """Return the octree of a file with this name in memory."""
+def loaded(
+    run: runner.Run, octree: OctreeContent, name: str, attributes: Collection[str] = ()
+) -> Octree:
+    """Return the octree of a file with this name in memory, with these attributes; the others stay
+    in the file."""
     from voxtool.svo.merged import in_memory
 
     with run.naming(name):
-        return run.stage("read octree", in_memory, octree)
+        return run.stage("read octree", in_memory, octree, run.max_memory, attributes)
 
 
 def refuse_stdout(run: runner.Run) -> None:

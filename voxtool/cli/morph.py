@@ -101,6 +101,7 @@ def command(
         report_components(run, octree, neighbours_of(request))
         return
     from voxtool.files import SVO_FORMATS, export, write_svo
+    from voxtool.svo.attribution.carry import check_kept, kept_of
 
     default = options.output_of(octree, f"morph.{EXTENSION}")
     run.to(octree, default, (*SVO_FORMATS, *EXPORTS))
@@ -113,7 +114,10 @@ def command(
             if job:
                 result: Any = make_in_windows(run, job, resume, no_keep)
             else:
-                source = loaded(run, source, octree)
+                kept = () if request["thin"] or request["resample"] else kept_of([source])
+                if kept:
+                    check_kept([source], run.max_memory)
+                source = loaded(run, source, octree, kept)
                 job = planned(run, source, request)
                 result = run.job(job)
                 run.write(export if run.file_format in EXPORTS else write_svo, result)
@@ -152,15 +156,15 @@ def neighbours_of(request: dict[str, Any]) -> int:
 
 def report_components(run: runner.Run, octree: str, neighbours: int) -> None:
     """Report the components of an octree, and write their labels if there is an output."""
-    from voxtool.files import export, read_svo
+    from voxtool.files import export
     from voxtool.files.formats import IMAGES
     from voxtool.svo.labels import plan_components
 
     if run.output:
         run.to(octree, run.output, IMAGES)
     run.on_device = False
-    with run:
-        source = run.stage("read octree", read_svo, octree)
+    with run, ExitStack() as stack:
+        source = loaded(run, opened(run, octree, stack), octree)
         found = run.job(run.plan(plan_components, source, neighbours))
         if run.output:
             run.write(export, found)

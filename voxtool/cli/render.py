@@ -27,7 +27,7 @@ from voxtool.errors import VoxtoolWarning, printable
 from voxtool.tets.maps import MAPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
     import numpy as np
 
@@ -191,8 +191,9 @@ def command(
         content: Any = run.stage("read file", stack.enter_context, open_scene(file))
         with run.naming(file):
             content, request["level"] = fitting(
-                run, content, request["level"], alone=request["other"] is None
-            )
+                run, content, request["level"], attributes_of(content, request),
+                alone=request["other"] is None, asked=asks_for_attributes(request),
+            )  # fmt: skip
             shown = options_of(content, file, request)
             if turntable is not None:
                 request["turn"] = request["turn"] or 0.0
@@ -213,24 +214,50 @@ def command(
     run.report(text, lambda: summary(job, drawn, hit))
 
 
+def asks_for_attributes(request: dict[str, Any]) -> bool:
+    """Return whether options ask for attributes of an octree by name."""
+    return request["colour_by"] is not None or "only" in given_of(request) or request["legend"]
+
+
+def attributes_of(content: Any, request: dict[str, Any]) -> set[str]:
+    """Return the attributes that a picture of an octree needs."""
+    from voxtool.svo.painting import painted
+
+    return {painted(content, request["colour_by"]), *([LABEL] if request["only"] else [])}
+
+
 def fitting(
-    run: Run, content: Any, level: int | str | None, alone: bool = True
-) -> tuple[Any, int | str | None]:
+    run: Run, content: Any, level: int | str | None, attributes: Collection[str],
+    alone: bool = True, asked: bool = False,
+) -> tuple[Any, int | str | None]:  # fmt: skip
     """Return what a picture shows of the content of a file, and the level: of an octree that does
-    not fit in memory the upper nodes, with a warning, if it is drawn alone."""
+    not fit in memory the upper nodes, if it is drawn alone, and no attributes where these do not
+    fit, with a warning, unless they are asked for."""
     from voxtool.svo.coarsen import fitting_octree
-    from voxtool.svo.content import StoredOctree
+    from voxtool.svo.content import StoredAttributedOctree, StoredOctree
     from voxtool.svo.merged import in_memory
 
     if not isinstance(content, StoredOctree):
         return content, level
-    if not alone:
-        return run.stage("read file", in_memory, content), level
-    asked = "voxel" if level is None else level
-    octree, finest = run.stage("read file", fitting_octree, content, asked, run.max_memory)
-    if finest == asked:
+    if asked and isinstance(content, StoredAttributedOctree):
+        for name in filter(None, attributes):
+            content.attribute(name)  # or an error that says which there are
+    content = content.only(attributes)
+    if not alone or (asked and content.attributes):
+        return run.stage("read file", in_memory, content, run.max_memory), level
+    wanted = "voxel" if level is None else level
+    octree, finest = run.stage("read file", fitting_octree, content, wanted, run.max_memory)
+    held = [one.name for one in octree.attributes]
+    if lost := [one.name for one in content.attributes if one.name not in held]:
+        warnings.warn(
+            f"the attribute{'s' * (len(lost) > 1)} {', '.join(lost)} would not fit in memory, and "
+            "the octree is drawn without (see --max-memory)",
+            VoxtoolWarning,
+            stacklevel=2,
+        )
+    if finest == wanted:
         return octree, level
-    drawn = "voxels" if asked == "voxel" else f"those of level {asked}"
+    drawn = "voxels" if wanted == "voxel" else f"those of level {wanted}"
     warnings.warn(
         f"the octree does not fit in memory: nodes of level {finest} are drawn instead of {drawn} "
         "(see --max-memory)",
@@ -359,12 +386,15 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
              "colour_by"}  # fmt: skip
     shown = {name: value for name, value in given.items() if name in drawn}
     if "other" in given:
-        from voxtool.files import read_drawn
-        from voxtool.files.formats import OCTREE
+        from voxtool.files import open_svo
+        from voxtool.svo.content import StoredOctree
+        from voxtool.svo.merged import in_memory
 
         if source == given["other"] == "-":
             raise options.input_twice("FILE", "OTHER")
-        shown["other"] = read_drawn(given["other"], OCTREE)
+        with open_svo(given["other"]) as other:  # whose attributes are not drawn
+            stored = isinstance(other, StoredOctree)
+            shown["other"] = in_memory(other.only(())) if stored else other
     if kind == "octree" and "isovalues" in shown:
         shown["isovalue"], *more = shown.pop("isovalues")
         if more:

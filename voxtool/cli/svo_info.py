@@ -40,7 +40,7 @@ def command(file: str | None, *, dtd: bool, **asked: bool) -> None:
         raise click.UsageError("Missing argument 'FILE'")
     from voxtool.files import open_svo
 
-    with open_svo(file, stored_attributes=True) as octree:
+    with open_svo(file) as octree:
         describe(file, octree, text_of, **asked)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -59,15 +60,18 @@ def command(
       voxtool svo-query bunny.svo.h5 points.csv --level 0 -o -
     """
     points = options.points_of(points, "OCTREE", octree, "name a file, or pipe them in")
-    from voxtool.files import read_drawn
-    from voxtool.files.formats import OCTREE
+    from voxtool.files import open_svo
+    from voxtool.svo.content import StoredOctree
+    from voxtool.svo.merged import in_memory
     from voxtool.svo.query import plan_query
 
     run.to_table(points, "voxels")
-    with run:
-        source = run.stage("read octree", read_drawn, octree, OCTREE)
+    names = tuple(attributes.split(",")) if attributes else ()
+    with run, ExitStack() as stack:
+        source: Any = run.stage("read octree", stack.enter_context, open_svo(octree))
         with run.naming(octree):
-            names = tuple(attributes.split(",")) if attributes else ()
+            if isinstance(source, StoredOctree):
+                source = run.stage("read octree", in_memory, source, run.max_memory, names)
             job = run.plan(plan_query, source, level=level, nearest=nearest, attributes=names)
         facts = answer(run, job, points)
     outside = facts["outside"]

@@ -61,6 +61,7 @@ def command(
     from voxtool.api.views import shown_content
     from voxtool.files import is_mesh, open_scene
     from voxtool.files.page import FORMATS, write_page
+    from voxtool.svo.painting import BY_DEFAULT
     from voxtool.viewer.job import plan_view
 
     if serve and run.output:
@@ -77,7 +78,7 @@ def command(
         else:
             content = run.stage("read file", stack.enter_context, open_scene(file))
         with run.naming(file):
-            content, level = fitting(run, content, level)
+            content, level = fitting(run, content, level, BY_DEFAULT)
             given = {"up": up, "level": level, "isovalue": isovalue}
             given = {name: value for name, value in given.items() if value is not None}
             job = run.plan(plan_view, content, file, served=serve, **given)

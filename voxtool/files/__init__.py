@@ -118,15 +118,11 @@ def open_scene(path: PathLike) -> Iterator[Any]:
 
 
 @contextmanager
-def open_svo(
-    path: PathLike, *, stored_attributes: bool = False
-) -> Iterator[Octree | StoredOctree | MergedOctree]:
-    """Yield an octree as `read_svo` returns it, but its nodes and bricks stay in an HDF5 file, and
-    a merged one is not expanded. One with attributes is in memory, or with `stored_attributes`
-    stays in the file, too."""
-    kind = formats.STORED_ATTRIBUTES if stored_attributes else formats.STORED_OCTREE
+def open_svo(path: PathLike) -> Iterator[Octree | StoredOctree | MergedOctree]:
+    """Yield an octree as `read_svo` returns it, but its nodes, its bricks and the values of its
+    attributes stay in an HDF5 file, and a merged one is not expanded."""
     with ExitStack() as stack:
-        yield _read_open(path, kind, stack)
+        yield _read_open(path, formats.STORED_OCTREE, stack)
 
 
 def write_svo(

@@ -15,7 +15,7 @@ import numpy as np
 
 from voxtool.choices import FACE_NAMES
 from voxtool.errors import printable
-from voxtool.svo.attribute_image import AttributeImage, attributes_of
+from voxtool.svo.attribute_image import AttributeImage, attributes_of, listed_with
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.normals import Normals
 
@@ -72,8 +72,7 @@ def write_ply(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
         "",
     ]
     file.write("\n".join(lines).encode())
-    more = [attribute.listed() for attribute in attributes]
-    for (cells, values), *others in zip(image.listed(), *more, strict=True):
+    for cells, values, others in listed_with(image, image.attributes):
         points = np.empty(len(cells), columns)
         for axis, column in zip("xyz", centers(image, cells).T, strict=True):
             points[axis] = column
@@ -109,8 +108,7 @@ def write_xyz(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
     """Write the points, a line each; numbers of points are the shortest that read back exactly,
     those of normals have nine digits, which do."""
     found = Normals(image) if normals else None
-    more = [attribute.listed() for attribute in attributes_of(image)]
-    for cells, *others in zip(image.coordinates(), *more, strict=True):
+    for cells, _, others in listed_with(image, image.attributes):
         rows = [f"{x!r} {y!r} {z!r}" for x, y, z in centers(image, cells).tolist()]
         if found:
             vectors = found.of(cells).tolist()

@@ -55,7 +55,7 @@ from voxtool.svo.attribute_image import AttributeImage, attributes_of
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.hexahedra import Hexahedra
 from voxtool.svo.image import VoxelImage
-from voxtool.svo.image_parts import ImageInParts, fitting_image
+from voxtool.svo.image_parts import ImageInParts, bytes_of, fitting_image
 from voxtool.svo.labels import Labels
 from voxtool.svo.leaf_hexahedra import LeafHexahedra
 from voxtool.tets.volume import TetVolume
@@ -166,6 +166,7 @@ class ExportPlan:
             raise MemoryLimitError(
                 f"the export would need {human(self.cost.host)} of memory, of {human(max_memory)} "
                 f"allowed: choose {self.image.smaller}"
+                f"{', or --attribute none' if self.facts.get('attributes') else ''}"
             )
 
 
@@ -293,7 +294,9 @@ def plan_export(
         if name == "png" and options.get("value") is not None:
             image = image.layer(options.get("axis", "z"), options["value"])
         slabs = not (EXCHANGE[name].points or EXCHANGE[name].whole or EXCHANGE[name].hexahedra)
-        image = replace(image, dense=normals or slabs, attributes=held)
+        if EXCHANGE[name].hexahedra and not invert:  # labels are their materials
+            held = tuple(one.name for one in content.attributes if one.name == "label")
+        image = replace(image, dense=normals or slabs, attributes=held, tree=EXCHANGE[name].whole)
         types = EXCHANGE[name].dtypes
         if not (dtype is isovalue is None) and types and image.dtype.name not in types:
             option = "--isovalue" if dtype is None else "--dtype"
@@ -302,17 +305,19 @@ def plan_export(
             )
         if normals and "normal" in held:
             raise VoxtoolError("normals of the cells and the attribute normal: choose one of them")
+        needed = bytes_of(image)
         image = replace(fitting_image(image, max_memory, windows), progress=progress)
         if EXCHANGE[name].whole and isinstance(image, ImageInParts):
             instead = "a plane by --slice" if name == "png" else f"{image.smaller}, or .npz"
+            instead += ", or --attribute none" if held else ""
             raise MemoryLimitError(
-                f"a .{name} is written from memory, in which this octree does not fit: choose "
-                f"{instead} (see --max-memory)"
+                f"a .{name} is written from memory, and would need {human(needed)}, of "
+                f"{human(image.limit)} allowed: choose {instead} (see --max-memory)"
             )
         if EXCHANGE[name].hexahedra:
             image = hexahedra_of(image, leaves, max_memory)
         elif held and EXCHANGE[name].attributes == "one":
-            image = AttributeImage(replace(image, attributes=()), held[0])
+            image = AttributeImage(image, held[0])
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
     more = {"normals": True} if normals else {}

@@ -221,7 +221,6 @@ OCTREE = Kind(
     endings=AN_EXPORT,
 )
 STORED_OCTREE = replace(OCTREE, sliced=True)
-STORED_ATTRIBUTES = replace(STORED_OCTREE, hdf5=("svo_slices",))
 FIELD = Kind(
     hdf5=("adf_hdf5",),
     mesh="is a mesh: build a field first: voxtool adf-build {name}",

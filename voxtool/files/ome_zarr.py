@@ -169,19 +169,21 @@ def _fill(array: Any, image: VoxelImage, own: VoxelImage | AttributeImage) -> No
 
 def _fill_attribute(array: Any, image: VoxelImage, own: AttributeImage) -> None:
     """Write the values of an attribute."""
-    low, high = np.array(image.low), np.add(image.low, image.shape)
-    for corners, side, values in own.cubes(CHUNK):
-        for corner, value in zip(corners - low, values, strict=True):
-            box = tuple(slice(n, n + side) for n in corner[::-1].tolist())
-            array[..., *box] = np.broadcast_to(
-                value[..., None, None, None], (*own.row, *(side,) * 3)
-            )
-    for blocks in own.blocks(CHUNK):
-        for corner, values in zip(*blocks, strict=True):
-            start, stop = np.maximum(corner, low), np.minimum(corner + CHUNK, high)
-            held = values[tuple(map(slice, start - corner, stop - corner))]
-            ends = (start - low)[::-1].tolist(), (stop - low)[::-1].tolist()
-            array[..., *map(slice, *ends)] = held.T  # channels first, then z, y, x
+    first = np.array(image.low)
+    for part in own.parts(least=CHUNK):
+        low, high = np.array(part.image.low), np.add(part.image.low, part.image.shape)
+        for corners, side, values in part.cubes(CHUNK):
+            for corner, value in zip(corners - first, values, strict=True):
+                box = tuple(slice(n, n + side) for n in corner[::-1].tolist())
+                array[..., *box] = np.broadcast_to(
+                    value[..., None, None, None], (*own.row, *(side,) * 3)
+                )
+        for blocks in part.blocks(CHUNK):
+            for corner, values in zip(*blocks, strict=True):
+                start, stop = np.maximum(corner, low), np.minimum(corner + CHUNK, high)
+                held = values[tuple(map(slice, start - corner, stop - corner))]
+                ends = (start - first)[::-1].tolist(), (stop - first)[::-1].tolist()
+                array[..., *map(slice, *ends)] = held.T  # channels first, then z, y, x
 
 
 # ---- in

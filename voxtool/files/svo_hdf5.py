@@ -221,6 +221,7 @@ ATTRIBUTED = Schema(
         *(one for name, kind in KINDS.items() for one in _datasets_of(name, kind.channels)),
     ),
     build=_build_attributed,
+    sliced=True,
     agree=lambda stored: (grid_of(stored), _head_of(stored)),
 )
 

@@ -6,8 +6,8 @@ label i of the octree is i + 1, and the name of number 0 is "".
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
 from typing import Any, ClassVar
@@ -20,7 +20,6 @@ from voxtool.svo.attributes import Attribute
 from voxtool.svo.blocks import keys_of, places_in
 from voxtool.svo.counts import BRICK_POWER
 from voxtool.svo.image import CHUNK, EVERY, LAYERS, UNIFORM, VoxelImage
-from voxtool.svo.octree import Octree
 from voxtool.svo.slabs import THICK, Blocks, Filled, Order, slabs_of
 
 POWER = THICK.bit_length() - 1
@@ -45,11 +44,9 @@ class AttributeImage:
     name: str
 
     @property
-    def octree(self) -> Octree:
-        """The voxels."""
-        octree = self.image.octree
-        assert isinstance(octree, Octree)  # attributes are read into memory
-        return octree
+    def octree(self) -> Any:
+        """The voxels, an octree with attributes."""
+        return self.image.octree
 
     @property
     def attribute(self) -> Attribute:
@@ -132,12 +129,21 @@ class AttributeImage:
         return self.cells * self.cell_bytes
 
     @property
-    def own_bytes(self) -> int:
-        """A bound of the memory of layers of values, and of the values of nodes."""
+    def layer_bytes(self) -> int:
+        """A bound of the memory of some layers of values."""
         a, b = sorted(self.shape)[1:]
-        layers = LAYERS * a * b * self.cell_bytes if self.image.dense else 0
-        nodes = TALLY_BYTES * len(self.octree.bricks) if self.level >= BRICK_POWER else 0
-        return layers + nodes
+        return LAYERS * a * b * self.cell_bytes if self.image.dense else 0
+
+    @property
+    def own_bytes(self) -> int:
+        """A bound of the memory of the octree's values, of layers of them and of those of nodes; of
+        parts it counts with the octree's."""
+        if self.image.in_parts:
+            return 0
+        values, level = self.attribute.nbytes, self.level
+        if self.image.tree:
+            values, level = 2 * values, max(level, BRICK_POWER)
+        return values + tally_bytes(level, len(self.octree.bricks)) + self.layer_bytes
 
     @property
     def host_bytes(self) -> int:
@@ -150,14 +156,16 @@ class AttributeImage:
         return self.image.progress
 
     def digest(self) -> str:
-        """Return the digest of the octree."""
-        return self.octree.digest()
+        """Return the digest of the octree, also if only a part of it is here."""
+        return self.image.digest()
 
     # ---- values
 
     @cached_property
     def _values(self) -> CellValues:
-        return CellValues(self.octree, self.name, self.level)
+        whole: Any = self.image.whole
+        about = whole.attribute(self.name) if whole else None
+        return CellValues(self.octree, self.name, self.level, about)
 
     def shown(self, values: np.ndarray, held: np.ndarray | None = None) -> np.ndarray:
         """Return values as they are written, 0 where a cell is not held."""
@@ -208,13 +216,29 @@ class AttributeImage:
         MemoryLimitError
             If the layers do not fit in memory.
         """
-        image, kind = self.image, (self.dtype, self.row)
-        return slabs_of(
-            image.low, image.shape, order, kind, lambda *at: self._row(*at)[1:], image.progress
-        )
+        for part in self.parts(order[0]):
+            image, kind = part.image, (part.dtype, part.row)
+            row = part._row
+            yield from slabs_of(
+                image.low,
+                image.shape,
+                order,
+                kind,
+                lambda *at, row=row: row(*at)[1:],
+                image.progress,
+            )
+
+    def parts(self, axis: int = 0, least: int = THICK) -> Iterator[AttributeImage]:
+        """Yield the same of the parts of the image, of which no other attributes are read."""
+        for part in replace(self.image, attributes=(self.name,)).parts(axis, least):
+            yield replace(self, image=part)
 
     def listed(self) -> Iterator[np.ndarray]:
         """Yield the values of the cells that `image.listed()` yields, in the same pieces."""
+        for part in self.parts():
+            yield from part._listed()
+
+    def _listed(self) -> Iterator[np.ndarray]:
         image = self.image
         low, high = image.low[0], image.low[0] + image.shape[0]
         for start in range(low - low % THICK, high, THICK):
@@ -247,6 +271,23 @@ class AttributeImage:
             Filled(morton_decode(codes) * width, width, self._of_cubes(codes, width))
             for codes, width in self.image.cube_codes(side)
         ]
+
+
+def tally_bytes(level: int, bricks: int) -> int:
+    """Return a bound of the memory of the values of nodes above so many bricks, which cells of a
+    level need."""
+    return TALLY_BYTES * bricks if level >= BRICK_POWER else 0
+
+
+def listed_with(
+    image: VoxelImage, names: Sequence[str]
+) -> Iterator[tuple[np.ndarray, np.ndarray, list[np.ndarray]]]:
+    """Yield what `image.listed()` does, with the values of attributes of the same cells."""
+    for part in image.parts():
+        more = [AttributeImage(part, name).listed() for name in names]
+        for (cells, values), *others in zip(part.listed(), *more, strict=True):
+            cells[:, 0] += part.low[0] - image.low[0]
+            yield cells, values, others
 
 
 def attributes_of(image: Any) -> list[AttributeImage]:

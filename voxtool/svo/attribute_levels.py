@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.svo.attributes import BITS
+from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.counts import BRICK_POWER
 from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
 from voxtool.svo.octree import Level, Octree
@@ -44,16 +44,20 @@ class CellValues:
         The attribute.
     size : int
         A cell has 2**size voxels a side.
+    whole : Attribute, optional
+        Of a part of an octree: the attribute of all of it, by which units of sums are chosen.
     """
 
-    def __init__(self, octree: Octree, name: str, size: int) -> None:
+    def __init__(
+        self, octree: Octree, name: str, size: int, whole: Attribute | None = None
+    ) -> None:
         self.octree, self.attribute = octree, octree.attribute(name)
         self.levels: list[Level] = octree.levels()[::-1]
         self.size, self.level = size, size - BRICK_POWER
         self.row = self.attribute.values.shape[1:]  # () or (channels,)
         self.dtype = self.attribute.values.dtype
         self._voxels = octree.values(name)
-        self._tally: Any = tally_of(self.attribute, octree.grid.side)
+        self._tally: Any = tally_of(whole or self.attribute, octree.grid.side)
 
     @cached_property
     def _leaves(self) -> list[np.ndarray]:

@@ -9,7 +9,7 @@ these have values; the other set voxels have the attribute's default.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -144,6 +144,17 @@ class Attribute(Data):
     def total(self) -> Fraction:
         """The exact sum of the values of voxels, which are single numbers."""
         return sum(map(exact_sum, blocks_of(self.values, BLOCK)), Fraction(0))
+
+    @cached_property
+    def largest(self) -> float:
+        """The largest of the values, which are single numbers, or 0."""
+        parts = (*blocks_of(self.values, BLOCK), self.leaves)
+        return max(float(np.max(part, initial=0)) for part in parts)
+
+    def loaded(self) -> Attribute:
+        """Return the attribute with its values in memory."""
+        masks = None if self.masks is None else self.masks[:]
+        return replace(self, values=self.values[:], masks=masks)
 
     def summary(self) -> dict[str, Any]:
         """Return the type, sizes and names in JSON types; of areas also their sum."""

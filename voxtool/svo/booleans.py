@@ -214,11 +214,17 @@ class CombineJob(Job[Octree]):
 
     def _carried(self, octree: Octree) -> Octree:
         """Return the result with the attributes of the operands that its voxels are from."""
-        n = 1 if self.plan.operation in ("intersection", "difference") else len(self.octrees)
-        if not any(one.attributes for one in self.octrees[:n]):
+        sources = self.sources
+        if not any(one.attributes for one in sources):
             return octree
         with self.stage("attributes"):
-            return carried(octree, self.octrees[:n], list(self.lows[:n]), self.device)
+            return carried(octree, sources, list(self.lows[: len(sources)]), self.device)
+
+    @property
+    def sources(self) -> list[Octree]:
+        """The operands that voxels of the result are from."""
+        alone = self.plan.operation in ("intersection", "difference")
+        return self.octrees[:1] if alone else self.octrees
 
     def notes(self, result: Octree) -> Iterator[str]:
         """Yield which attributes are not kept."""

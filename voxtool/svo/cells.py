@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,13 +15,21 @@ from voxtool.grid import Grid
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK_SIDE, LINK, NODE_BYTES, descend
-from voxtool.svo.links import EMPTY, REFINED, states_of
+from voxtool.svo.links import EMPTY, FULL, REFINED, states_of
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 
 GAP = 4096  # items between two groups that are read at once
 EIGHT = np.arange(8)
 AROUND = 4  # cells along a side of the cube around a cell, which is its second along each axis
+
+
+class Cut(NamedTuple):
+    """An octree that is cut out of another one, and where that has its leaves and bricks."""
+
+    octree: Octree
+    inside: np.ndarray  # (L,) int64 indices of the nodes of its inside leaves, in its order
+    bricks: np.ndarray  # (n,) int64 indices of the first bricks of its groups of eight
 
 
 class Cells:
@@ -121,12 +130,42 @@ class Cells:
         """Return the octree of a cube of `along` cells a side from cell `corner` on. Refined nodes
         that do not reach its voxels from `low` to `high` are empty in it, as is what lies beyond
         the octree. MemoryLimitError if it takes more than `most` bytes."""
+        levels, links = self._cut(corner, along, low, high, most)
+        return self._octree(along, levels, links[-1])
+
+    def cut_of_whole(self, low: np.ndarray, high: np.ndarray, most: float = math.inf) -> Cut:
+        """Return the same of the whole octree, which is one cell and not merged, with the places
+        of what it is made of."""
+        levels, links = self._cut(np.zeros(3, np.int64), 1, low, high, most)
+        places = [np.zeros(1, np.int64)]
+        for start, own in zip(self.octree.offsets[1:].astype(np.int64), links[:-1], strict=False):
+            places.append((start + own[:, None] + EIGHT).ravel())
+        inside = [own[states == FULL] for own, states in zip(places, levels, strict=True)]
+        bricks = links[-1].astype(np.int64)
+        return Cut(self._octree(1, levels, links[-1]), np.concatenate(inside), bricks)
+
+    def _octree(self, along: int, levels: list[np.ndarray], links: np.ndarray) -> Octree:
+        """Return the octree of nodes with these states, given the links to its bricks."""
+        octree, grid = self.octree, cube(along * self.side)
+        return Octree.of_states(grid, octree.mode, octree.fill, levels, self._bricks(links))
+
+    def _cut(
+        self,
+        corner: np.ndarray,
+        along: int,
+        low: int | np.ndarray,
+        high: int | np.ndarray,
+        most: float,
+    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Return the states of the nodes of `cut`, by level from the root down, and of each level
+        from that of cells down the links of its refined nodes."""
         cells = corner + morton_decode(np.arange(along**3, dtype=np.uint64))
         held = ((cells >= 0) & (cells < self.along)).all(axis=1)
         places = morton_encode(cells[held]).astype(np.int64)
         states, links = np.full(len(cells), EMPTY, np.uint8), np.zeros(len(cells), np.uint32)
         states[held], links[held] = self.states[places], self.links[places]
         levels = [np.full(8**d, REFINED, np.uint8) for d in range(along.bit_length() - 1)]
+        followed = []
         codes, size = np.arange(len(cells), dtype=np.uint64), 0
         for number in range(self.level, 0, -1):
             side = BRICK_SIDE << number
@@ -141,10 +180,10 @@ class Cells:
                     f"a part of an octree takes more than {human(int(most))} (see --max-memory)"
                 )
             codes, links = descend(codes[refined]), links[refined]
+            followed.append(links)
             if number > 1:
                 states, links = self._children(self.octree.depth - number, links)
-        octree, grid = self.octree, cube(along * self.side)
-        return Octree.of_states(grid, octree.mode, octree.fill, levels, self._bricks(links))
+        return levels, followed
 
 
 def cube(side: int) -> Grid:

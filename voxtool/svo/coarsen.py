@@ -25,8 +25,9 @@ def fitting_octree(
     octree: StoredOctree, level: int | str, max_memory: int | None
 ) -> tuple[Octree | MergedOctree, int | str]:
     """Return an octree of which a picture of a level shows what it shows of `octree`, and the
-    level: the octree in memory if it fits, or else the upper nodes, down to those of the finest
-    level from `level` up that fit; the octree in memory, too, if no level does.
+    level: the octree in memory if it fits, without its attributes if only they do not, or else the
+    upper nodes, down to those of the finest level from `level` up that fit; the octree in memory,
+    too, if no level does.
 
     Raises
     ------
@@ -34,6 +35,8 @@ def fitting_octree(
         If that is larger than memory.
     """
     limit = available_memory() // 2 if max_memory is None else max_memory
+    if octree.nbytes + sum(one.nbytes for one in octree.attributes) > limit:
+        octree = octree.only(())
     if octree.nbytes <= limit:
         return in_memory(octree), level
     wanted = level_number(octree, level, octree.depth - 1)

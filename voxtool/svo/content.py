@@ -7,11 +7,11 @@ every node once, subtree by subtree in Morton order.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -65,6 +65,10 @@ class OctreeContent:
     units: str
     transform: tuple[float, ...]
     attributes: tuple[Attribute, ...] = ()
+
+    def only(self, names: Collection[str]) -> Self:
+        """Return the octree with the attributes of these names, of those that it has."""
+        return self
 
     @property
     def depth(self) -> int:
@@ -259,6 +263,10 @@ class AttributedContent(OctreeContent):
                 for label, (name, count, volume) in enumerate(rows)
             ]
         return info
+
+    def only(self, names: Collection[str]) -> Self:
+        kept = tuple(one for one in self.attributes if one.name in names)
+        return replace(self, attributes=kept)  # pyright: ignore[reportArgumentType, reportReturnType]
 
     def attribute(self, name: str) -> Attribute:
         """Return the attribute of a name; VoxtoolError if the octree has none."""

@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from voxtool.errors import VoxtoolError
-from voxtool.svo.attribute_image import AttributeImage
+from voxtool.svo.attribute_image import AttributeImage, listed_with
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.rows import Places, Rows, layers_of
 
@@ -333,8 +333,9 @@ class Hexahedra:
     def layers(self) -> Iterator[Part]:
         """Yield the layers along x that have cells."""
         rows, high = self._rows, Plane(-2, 0, Places(np.empty(0, np.int64), 0))
-        values = self.labels.listed() if self.labels else None
-        for x, below, cells, above in layers_of(self.image, values):
+        labels = listed_with(self.image, ("label",)) if self.labels else None
+        listed = ((cells, own) for cells, _, (own,) in labels) if labels else None
+        for x, below, cells, above in layers_of(self.image, listed):
             if not len(cells):
                 continue
             end = high.first + len(high.nodes)

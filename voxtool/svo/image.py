@@ -72,9 +72,12 @@ class VoxelImage:
         Whether whole layers of cells are asked for, not only those that are set.
     attributes : tuple of str
         Attributes of the cells that are written, too; see attribute_image.py.
+    tree : bool
+        Whether the file is a tree, for which those of all nodes and of the file are held.
     """
 
     smaller: ClassVar[str] = "a higher --level, or a part by --bbox"
+    in_parts: ClassVar[bool] = False  # whether its octree is read in parts
 
     octree: OctreeContent
     level: int
@@ -87,6 +90,7 @@ class VoxelImage:
     whole: OctreeContent | None = None
     dense: bool = True
     attributes: tuple[str, ...] = ()
+    tree: bool = False
 
     @classmethod
     def of(

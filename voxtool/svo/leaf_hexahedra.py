@@ -22,7 +22,7 @@ from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.hexahedra import CORNERS, Hexahedra, Key, Part, Sizes, between, sizes_of
 from voxtool.svo.image import VoxelImage
-from voxtool.svo.slabs import THICK
+from voxtool.svo.slabs import THICK, Filled
 
 PIECE = 1 << 18  # cubes that are passed on at once
 LOOKED_UP = 1 << 20  # cells that are looked up at once
@@ -297,12 +297,11 @@ def found_in(
         codes[power].append(morton_encode(corners >> power))
         values[power].append(each.astype(np.uint32))
 
-    for part in [image] if labels else image.parts():
-        cubes: Any = labels.cubes(THICK) if labels else part.cubes(THICK)
-        for filled in cubes:
-            each = np.ones(len(filled.corners)) if labels is None else filled.values
+    for part in labels.parts() if labels else image.parts():
+        for filled in part.cubes(THICK):
+            each = filled.values if isinstance(filled, Filled) else np.ones(len(filled.corners))
             add(filled.side.bit_length() - 1, filled.corners, each)
-        for corners, cells in labels.blocks(THICK) if labels else part.blocks(THICK):
+        for corners, cells in part.blocks(THICK):
             small = cells.reshape(-1, 2, 2, 2, 2, 2, 2).transpose(0, 1, 3, 5, 2, 4, 6)
             eighths = small.reshape(-1, 8, 8)
             low = corners[:, None] + 2 * OCTANTS

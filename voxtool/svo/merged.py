@@ -6,7 +6,7 @@ how often each subtree occurs, digests from the states of the nodes, a byte each
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
@@ -19,6 +19,7 @@ from voxtool.errors import FileError, MemoryLimitError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
+from voxtool.svo.attributes import KINDS
 from voxtool.svo.content import BLOCK, OctreeContent, StoredOctree
 from voxtool.svo.layout import (
     BRICK,
@@ -377,17 +378,23 @@ class MergedOctree(PointQueries, Data, OctreeContent):
         check_subtrees(self)
 
 
-def in_memory(octree: OctreeContent) -> Octree:
-    """Return an octree of a file, or a merged one, with all its nodes in memory.
+def in_memory(
+    octree: OctreeContent, max_memory: int | None = None, names: Collection[str] = tuple(KINDS)
+) -> Octree:
+    """Return an octree of a file, or a merged one, with all its nodes in memory, and the attributes
+    of these names; the values of others stay in the file.
 
     Raises
     ------
     MemoryLimitError
-        If it does not fit, or its nodes exceed links of 30 bits.
+        If it does not fit, or with attributes in `max_memory` bytes, or its nodes exceed links of
+        30 bits.
     """
     if isinstance(octree, MergedOctree):
         return octree.expanded()
-    return Octree.of_stored(octree) if isinstance(octree, StoredOctree) else cast("Octree", octree)
+    if isinstance(octree, StoredOctree):
+        return Octree.of_stored(octree, max_memory, names)
+    return cast("Octree", octree)
 
 
 def link_bytes(below: int) -> int:

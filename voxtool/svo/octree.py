@@ -24,7 +24,7 @@ from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
-from voxtool.svo.attributes import Attribute
+from voxtool.svo.attributes import KINDS, Attribute
 from voxtool.svo.content import AttributedContent, OctreeContent, StoredOctree
 from voxtool.svo.layout import (
     BRICK,
@@ -42,11 +42,12 @@ from voxtool.svo.prune import octree_of_bricks, prune
 from voxtool.svo.validate import check_sizes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from voxtool.opencl import Device
 
 ARRAYS = ("offsets", "nodes", "bricks")
+ALLOW = "allow more (see --max-memory), or voxelize at a smaller dim"
 VOXEL = -2  # the level of voxels: a node of level n has 2**(n + 2) voxels along a side
 
 
@@ -263,11 +264,25 @@ class Octree(PointQueries, AttributedContent, Data):
         return cls(grid, mode, fill, offsets, np.concatenate(list(nodes_of(levels))), bricks)
 
     @classmethod
-    def of_stored(cls, octree: StoredOctree) -> Octree:
-        """Return an octree of a file in memory; MemoryLimitError if that is too small."""
+    def of_stored(
+        cls,
+        octree: StoredOctree,
+        max_memory: int | None = None,
+        names: Collection[str] = tuple(KINDS),
+    ) -> Octree:
+        """Return an octree of a file in memory, with the attributes of these names; the values of
+        others stay in the file. MemoryLimitError if memory is too small, or if with attributes the
+        octree takes more than `max_memory` bytes."""
         check_memory(octree.nbytes, "the octree's arrays", "choose a smaller file")
-        values = {item.name: getattr(octree, item.name) for item in fields(octree)}
-        return cls(**values | {name: values[name][:] for name in ("nodes", "bricks")})
+        if taken := [one for one in octree.attributes if one.name in names]:
+            needed = octree.nbytes + sum(one.nbytes for one in taken)
+            listed = ", ".join(one.name for one in taken)
+            what = f"the octree's arrays with its attribute{'s' * (len(taken) > 1)} {listed}"
+            check_memory(needed, what, ALLOW, max_memory)
+        values: dict[str, Any] = {item.name: getattr(octree, item.name) for item in fields(octree)}
+        values |= {name: values[name][:] for name in ("nodes", "bricks")}
+        attributes = (one.loaded() if one.name in names else one for one in octree.attributes)
+        return cls(**values | {"attributes": tuple(attributes)})
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.grid.shape))

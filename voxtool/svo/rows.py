@@ -8,7 +8,7 @@ keys before and after it, and those a row before and after it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from itertools import chain, pairwise, repeat
+from itertools import chain, pairwise
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -84,17 +84,18 @@ class Places:
 
 
 def layers_of(
-    image: VoxelImage, values: Iterable[np.ndarray] | None = None
+    image: VoxelImage, listed: Iterable[tuple[np.ndarray, np.ndarray]] | None = None
 ) -> Iterator[tuple[int, Places, Places, Places]]:
     """Yield layers with x from -1 to the number of layers: x, the cells that are not zero in the
     layer below it, in it and above it. It is left out if none of the three has cells.
 
-    `values` has those of the cells, in the pieces of `image.coordinates()`.
+    `listed` has the cells of `image.coordinates()` with values, in pieces.
     """
     none = Places(np.empty(0, np.int64), 0)
     held: dict[int, Places] = {}
     done, last = -2, -4  # the layer that was yielded last, and the last one with cells
-    for x, cells in chain(_layers(image, values or repeat(None)), [(None, none)]):
+    pieces = listed or ((cells, None) for cells in image.coordinates())
+    for x, cells in chain(_layers(image, pieces), [(None, none)]):
         if x is not None:
             held[x] = cells
         end = last + 2 if x is None else x  # what is before it has known neighbours
@@ -107,11 +108,13 @@ def layers_of(
         held = {n: places for n, places in held.items() if n >= last - 1}
 
 
-def _layers(image: VoxelImage, values: Iterable[np.ndarray | None]) -> Iterator[tuple[int, Places]]:
+def _layers(
+    image: VoxelImage, pieces: Iterable[tuple[np.ndarray, np.ndarray | None]]
+) -> Iterator[tuple[int, Places]]:
     """Yield each layer that has cells: its x and the keys of its cells."""
     width, size = Rows.of(image)
     dtype = np.int32 if size < 1 << 31 else np.int64
-    for cells, each in zip(image.coordinates(), values, strict=False):
+    for cells, each in pieces:
         x = cells[:, 0]
         keys = (cells[:, 1].astype(dtype) + 1) * width + cells[:, 2] + 1
         starts = np.flatnonzero(np.diff(x, prepend=-1))

@@ -229,8 +229,7 @@ def _face_of(volume: int) -> int:
 class _Areas(_Sums):
     def __init__(self, attribute: Attribute, side: int) -> None:
         super().__init__(attribute, side)
-        most = max(float(np.max(values, initial=0)) for values in attribute.arrays[-2:])
-        self.unit = (1 << _bits_left(side, 63)) / (most or 1.0)
+        self.unit = (1 << _bits_left(side, 63)) / (attribute.largest or 1.0)
 
     def whole(self, values: np.ndarray) -> np.ndarray:
         return np.rint(values.astype(np.float64) * self.unit).astype(self.wide)

@@ -30,6 +30,10 @@ class CombineWindowsJob(OperationJob):
         super().__init__(job.plan, operands, job.device, job.max_memory)
 
     @property
+    def _sources(self) -> Sequence[OctreeContent]:
+        return self._job.sources
+
+    @property
     def _described(self) -> dict[str, Any]:
         return self._job.described
 
@@ -54,7 +58,7 @@ class CombineWindowsJob(OperationJob):
 def combine_windows(job: CombineJob, octrees: Sequence[OctreeContent]) -> CombineWindowsJob | None:
     """Return the job of a combination in windows, or None if it fits in memory as a whole, or if
     windows do not fit either."""
-    if fits(job.cost, octrees, job.device, job.max_memory):
+    if fits(job.cost, octrees, job.sources, job.device, job.max_memory):
         return None
     with suppress(MemoryLimitError):
         return CombineWindowsJob(job, octrees)

@@ -41,6 +41,10 @@ class MorphWindowsJob(OperationJob):
         super().__init__(whole, [Operand(octree, -np.array(whole.low))], device, max_memory)
 
     @property
+    def _sources(self) -> list[OctreeContent]:
+        return [self.octree]
+
+    @property
     def _described(self) -> dict[str, Any]:
         return {"plan": {}, "units": self.octree.units, "transform": self.octree.transform}
 
@@ -102,7 +106,7 @@ def morph_windows(
     """Return the job of an operation in windows, or None if it fits in memory as a whole, or if
     windows do not fit either; see `voxtool.morph`."""
     whole = plan_unread(octree, operation, radius, world, shape, max_memory)
-    if fits(whole.cost, [octree], device, max_memory):
+    if fits(whole.cost, [octree], [octree], device, max_memory):
         return None
     with suppress(MemoryLimitError):
         return MorphWindowsJob(whole, octree, device, max_memory)

@@ -21,7 +21,7 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.memory import available_memory
 from voxtool.opencl import Device
-from voxtool.svo.attribution.carry import lost
+from voxtool.svo.attribution.carry import kept_bytes, kept_of, lost
 from voxtool.svo.cells import Cells, cube
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.links import EMPTY, FULL, REFINED
@@ -130,14 +130,19 @@ class OperationPlan:
 
 
 def fits(
-    cost: Cost, octrees: Sequence[OctreeContent], device: Device, max_memory: int | None
+    cost: Cost,
+    octrees: Sequence[OctreeContent],
+    sources: Sequence[OctreeContent],
+    device: Device,
+    max_memory: int | None,
 ) -> bool:
     """Return whether an operation of this cost fits in memory as a whole, with what it reads and
-    makes."""
+    makes, and with the attributes of the octrees that voxels of the result are from."""
     limit = device.max_memory if max_memory is None else max_memory
-    if cost.shortage(limit, device.info.max_allocation):
+    kept = kept_bytes(sources)
+    if cost.shortage(limit, device.info.max_allocation) or kept > limit:
         return False
-    read = 2 * sum(octree.nbytes for octree in octrees)
+    read = 2 * sum(octree.nbytes for octree in octrees) + kept
     return max(cost.host, read) <= available_memory()
 
 
@@ -193,8 +198,10 @@ class OperationJob(Job[BlockOctree]):
         return both.shortage(self.limit, self.device.info.max_allocation)
 
     def notes(self, result: BlockOctree) -> Iterator[str]:
-        """Yield which attributes are not kept."""
-        return lost([operand.octree for operand in self.operands])
+        """Yield which attributes are not kept, and which would be in one piece."""
+        yield from lost([operand.octree for operand in self.operands])
+        if names := kept_of(self._sources):
+            yield f"windows keep no attributes: more --max-memory would keep {', '.join(names)}"
 
     def sizes(self, operand: Operand, side: int) -> np.ndarray:
         """Return the predicted refined nodes of an operand in a cube of `side` voxels, by level
@@ -202,6 +209,11 @@ class OperationJob(Job[BlockOctree]):
         sizes = np.diff(operand.octree.offsets.astype(np.int64))[:0:-1] // 8
         cells = operand.cells(side)
         return np.minimum(sizes, AREA * sizes // max(cells.refined, 1) + 1)[: cells.level]
+
+    @property
+    @abstractmethod
+    def _sources(self) -> Sequence[OctreeContent]:
+        """The octrees that voxels of the result are from."""
 
     @property
     @abstractmethod

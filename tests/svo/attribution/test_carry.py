@@ -141,7 +141,8 @@ def test_a_note_names_what_is_not_kept(here, device) -> None:
     assert list(plan_thin(replace(one, mode="surface26")).notes(one)) != []
     whole = plan_combine([one], device=device)
     windows = CombineWindowsJob(whole, [one])
-    assert list(windows.notes(None)) == [every]
+    kept = "windows keep no attributes: more --max-memory would keep label, colour, normal"
+    assert list(windows.notes(None)) == [every, kept]
 
 
 def test_the_volume_of_fractions_is_their_sum(here, device) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from voxtool.memory import check_memory
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Device, default_device
 from voxtool.svo.attribute_levels import CellValues
@@ -20,7 +21,7 @@ from voxtool.svo.attribute_points import values_of_voxels
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.paint import NONE, Nodes, Union, unite
 from voxtool.svo.content import OctreeContent
-from voxtool.svo.octree import Level, Octree
+from voxtool.svo.octree import ALLOW, Level, Octree
 from voxtool.svo.query import OctreeQuery
 
 CARRIED = ("label", "colour", "normal")
@@ -95,12 +96,31 @@ class Source:
         return nearest + self.low
 
 
+def kept_of(octrees: Sequence[OctreeContent]) -> list[str]:
+    """Return the attributes that a result keeps whose voxels are from some octrees."""
+    return [name for name in CARRIED if all(_has(octree, name) for octree in octrees)]
+
+
+def kept_bytes(octrees: Sequence[OctreeContent]) -> int:
+    """Return the predicted bytes of these attributes, in the octrees and in the result."""
+    names = kept_of(octrees)
+    found = (one for octree in octrees for one in octree.attributes if one.name in names)
+    return 2 * sum(one.nbytes for one in found)
+
+
+def check_kept(octrees: Sequence[OctreeContent], max_memory: int | None) -> None:
+    """Raise MemoryLimitError if these attributes take more memory than they may."""
+    if size := kept_bytes(octrees):
+        what = f"the attributes that are kept, {', '.join(kept_of(octrees))},"
+        check_memory(size, what, ALLOW, max_memory)
+
+
 def carried(
     result: Octree, octrees: Sequence[Octree], lows: Sequence[np.ndarray], device: Device
 ) -> Octree:
     """Return the result with the attributes that all of some octrees have, whose low corners are at
     these voxels of its grid; the result itself if there are none."""
-    names = [name for name in CARRIED if all(_has(octree, name) for octree in octrees)]
+    names = kept_of(octrees)
     if not names or not result.count:
         return result
     sources = [Source.of(octree, low) for octree, low in zip(octrees, lows, strict=True)]
@@ -137,7 +157,7 @@ def lost(octrees: Sequence[OctreeContent], kept: Sequence[Attribute] = ()) -> It
         yield f"not kept: the attribute{'s' * (len(names) > 1)} {', '.join(names)} ({KEPT})"
 
 
-def _has(octree: Octree, name: str) -> bool:
+def _has(octree: OctreeContent, name: str) -> bool:
     return name in (attribute.name for attribute in octree.attributes)
 
 
