@@ -282,7 +282,8 @@ class Octree(PointQueries, AttributedContent, Data):
         values: dict[str, Any] = {item.name: getattr(octree, item.name) for item in fields(octree)}
         values |= {name: values[name][:] for name in ("nodes", "bricks")}
         attributes = (one.loaded() if one.name in names else one for one in octree.attributes)
-        return cls(**values | {"attributes": tuple(attributes)})
+        values["attributes"] = tuple(attributes)
+        return cls(**values)
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.grid.shape))
