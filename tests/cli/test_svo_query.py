@@ -105,7 +105,7 @@ def test_attributes_of_points(here: Path) -> None:
     voxtool.write_svo(octree, "parts.svo.h5")
     points = np.random.default_rng(7).random((500, 3)) * 44 - 2
     np.save("points.npy", points)
-    names = ("label", "colour", "normal", "fraction", "faces")
+    names = ("label", "colour", "normal", "area", "fraction", "faces")
     found = voxtool.query_svo(octree, points, attributes=names)
     assert np.array_equal(found.contains, octree.contains(points))
     cells = np.floor(points).astype(int)
@@ -117,10 +117,11 @@ def test_attributes_of_points(here: Path) -> None:
         values = getattr(found, name)
         assert np.array_equal(values + 1 if name == "label" else values, wanted)
     assert found[3].label == found.label[3]
-    run("svo-query parts.svo.h5 points.npy --attributes colour,label -o answers.csv")
+    run("svo-query parts.svo.h5 points.npy --attributes colour,label,area -o answers.csv")
     lines = Path("answers.csv").read_text().splitlines()
-    assert lines[0] == "contains,red,green,blue,alpha,label"
-    table = np.loadtxt(lines[1:], delimiter=",", dtype=int)
+    assert lines[0] == "contains,red,green,blue,alpha,label,area"
+    table = np.loadtxt(lines[1:], delimiter=",")
+    assert np.array_equal(table[:, 6].astype("f4"), found.area)
     assert np.array_equal(table[:, 1:5], found.colour)
     assert np.array_equal(table[:, 5], found.label)
     message = "has no attribute 'label', it has none"

@@ -76,6 +76,8 @@ class OctreeAnswers(Data):
     colour : (N, 4) uint8, or None
         Its colour and opacity; 0 if it is not set, as in what follows.
     normal : (N, 3) float32, or None
+    area : (N,) float32, or None
+        The area of the surface in the voxel, in the mesh's unit squared.
     fraction : (N,) float64, or None
         The share of the voxel inside, from 0 to 1.
     faces : (N, 6) float64, or None
@@ -90,6 +92,7 @@ class OctreeAnswers(Data):
     label: np.ndarray | None = None
     colour: np.ndarray | None = None
     normal: np.ndarray | None = None
+    area: np.ndarray | None = None
     fraction: np.ndarray | None = None
     faces: np.ndarray | None = None
 
