@@ -1,4 +1,4 @@
-"""What tests of fractions and of shares of faces have in common."""
+"""Fractions and shares of faces as dense arrays, and in rational arithmetic, for tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from voxtool.svo.octree import Octree
 
 
 def shares_of(octree: Octree, name: str) -> np.ndarray:
-    """The values of "fraction" or "faces" in all voxels, (nx, ny, nz) or (nx, ny, nz, 6) float64;
+    """Return "fraction" or "faces" of all voxels, (nx, ny, nz) or (nx, ny, nz, 6) float64;
     of whole numbers, as shares."""
     values = octree.attribute(name).values
     most = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
@@ -27,8 +27,8 @@ def shares_of(octree: Octree, name: str) -> np.ndarray:
 
 
 def share_by(fill: str, total: Fraction) -> Fraction:
-    """The share of a voxel or of a face that is inside by a fill rule, given the integral of the
-    winding number over it."""
+    """Return the share of a voxel or of a face that is inside by a fill rule, given the integral of
+    the winding number over it."""
     if fill == "parity":
         rest = total % 2
         return min(rest, 2 - rest)

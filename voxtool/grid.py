@@ -279,3 +279,13 @@ def _short(number: int) -> str:
     if abs(number) < 10**12:
         return str(number)
     return f"{'-' * (number < 0)}1e{math.floor(math.log10(abs(number)))}"
+
+
+def grid_of(mesh: Mesh, grid: Grid | None, dim: int | None, pitch: float | None) -> Grid:
+    """Return the grid, or one around the mesh of this dim or pitch; GridError if a grid is given
+    with either."""
+    if grid is None:
+        return Grid.fit(mesh, dim, pitch=pitch)
+    if dim is not None or pitch is not None:
+        raise GridError("a grid has its own dim and pitch: drop dim= and pitch=, or the grid")
+    return grid

@@ -14,8 +14,8 @@ from helpers_cli import fail, run, told
 import voxtool
 from voxtool.adf import build, plan
 from voxtool.adf.build import plan_adf
-from voxtool.adf.levels import Store
 from voxtool.adf.plan import FieldPlan
+from voxtool.adf.waiting import Store
 from voxtool.files.spool import Spool
 from voxtool.opencl import Device
 

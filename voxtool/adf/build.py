@@ -24,8 +24,6 @@ from voxtool.adf.levels import (
     Construction,
     Examined,
     Level,
-    Store,
-    Waiting,
     constrain,
     examine,
     programs,
@@ -36,6 +34,7 @@ from voxtool.adf.levels import (
 )
 from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.adf.survey import Survey, cube_of
+from voxtool.adf.waiting import Store, Waiting
 from voxtool.errors import human
 from voxtool.job import Job
 from voxtool.mesh.mesh import Mesh

@@ -13,14 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from voxtool.adf.cells import JUMP, bound_values
 from voxtool.adf.plan import FieldPlan
 from voxtool.adf.survey import Survey
-from voxtool.opencl import Array, Device, program
+from voxtool.opencl import Array, program
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.spatial.bvh import TriangleTree
@@ -333,43 +333,3 @@ def ranks_of(flags: Sequence[np.ndarray]) -> np.ndarray:
     ranks = np.zeros(sum(map(len, flags)) + 1, np.uint32)
     np.cumsum(np.concatenate(flags), out=ranks[1:])
     return ranks
-
-
-# ---- levels that wait
-
-
-class Store(Protocol):
-    """Arrays that wait elsewhere than in memory, as voxtool.files.spool.Spool has them."""
-
-    def put(self, array: np.ndarray) -> Any:
-        """Add an array; return what `get` takes."""
-        ...
-
-    def get(self, piece: Any) -> np.ndarray:
-        """Return an array."""
-        ...
-
-    def mapped(self, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
-        """Return all that was added as one array, which is read where it is used."""
-        ...
-
-
-@dataclass(frozen=True)
-class Waiting:
-    """A Level whose arrays are in a store."""
-
-    number: int
-    count: int
-    store: Store
-    pieces: dict[str, Any]
-
-    @classmethod
-    def of(cls, level: Level, store: Store) -> Waiting:
-        """Put a new level, of which no stage has run, in a store."""
-        pieces = {name: store.put(array.get()) for name, array in level.arrays.items()}
-        return cls(level.number, level.count, store, pieces)
-
-    def level(self, device: Device) -> Level:
-        """Return the level on the device."""
-        arrays = {name: device.put(self.store.get(piece)) for name, piece in self.pieces.items()}
-        return Level(self.number, self.count, arrays)

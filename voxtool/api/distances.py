@@ -13,7 +13,7 @@ from voxtool.adf import query as adf_query
 from voxtool.adf.build import FieldJob
 from voxtool.adf.field import DistanceField
 from voxtool.adf.host_query import QueryResult
-from voxtool.api.octrees import MeshLike, Path, grid_of, opened
+from voxtool.api.octrees import MeshLike, Path, opened
 from voxtool.choices import (
     DEFAULT_MAX_LEVEL,
     DEFAULT_SEARCH,
@@ -27,7 +27,7 @@ from voxtool.files import read_adf
 from voxtool.files.mesh import as_mesh
 from voxtool.files.spool import Spool
 from voxtool.files.streams import STREAM
-from voxtool.grid import Grid
+from voxtool.grid import Grid, grid_of
 from voxtool.job import one_call
 from voxtool.opencl import Device
 from voxtool.spatial import signed_distance

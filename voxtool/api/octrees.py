@@ -22,10 +22,10 @@ from voxtool.choices import (
     STYLES,
     VOXEL_LEVEL,
 )
-from voxtool.errors import GridError, VoxtoolError
+from voxtool.errors import VoxtoolError
 from voxtool.files import read_shape, read_svo
 from voxtool.files.mesh import as_mesh
-from voxtool.grid import Grid
+from voxtool.grid import Grid, grid_of
 from voxtool.job import one_call
 from voxtool.mesh import normalize as normalized
 from voxtool.mesh.appearance import Parts
@@ -61,15 +61,6 @@ def opened(content: Content | Path, read: Callable[[Path], Content]) -> Content:
     if isinstance(content, str | os.PathLike):
         return read(content)
     return content
-
-
-def grid_of(mesh: Mesh, grid: Grid | None, dim: int | None, pitch: float | None) -> Grid:
-    """Return the grid, or one around the mesh of this dim or pitch."""
-    if grid is None:
-        return Grid.fit(mesh, dim, pitch=pitch)
-    if dim is not None or pitch is not None:
-        raise GridError("a grid has its own dim and pitch: drop dim= and pitch=, or the grid")
-    return grid
 
 
 def plan_voxelize(

@@ -274,8 +274,8 @@ class AttributeImage:
 
 
 def tally_bytes(level: int, bricks: int) -> int:
-    """Return a bound of the memory of the values of nodes above so many bricks, which cells of a
-    level need."""
+    """Return a bound of the memory that cells of a level need for the values of nodes, given the
+    number of bricks."""
     return TALLY_BYTES * bricks if level >= BRICK_POWER else 0
 
 

@@ -77,7 +77,7 @@ class AttributeParts:
 
 
 class _Sums:
-    """How much is counted before each item of an array, of which a sum for each block is held.
+    """The counts before each item of an array; only the sum before each block is held.
 
     Parameters
     ----------

@@ -118,7 +118,7 @@ class Attribute(Data):
 
     @property
     def masked(self) -> bool:
-        """Whether masks say which voxels have values."""
+        """True if masks say which voxels have values."""
         return self.masks is not None
 
     @property

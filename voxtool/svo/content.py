@@ -67,7 +67,7 @@ class OctreeContent:
     attributes: tuple[Attribute, ...] = ()
 
     def only(self, names: Collection[str]) -> Self:
-        """Return the octree with the attributes of these names, of those that it has."""
+        """Return the octree with those of its attributes whose names are given."""
         return self
 
     @property
@@ -243,7 +243,7 @@ class OctreeContent:
 
 
 class AttributedContent(OctreeContent):
-    """What an octree holds whose set voxels may have attributes."""
+    """The content of an octree whose set voxels may have attributes."""
 
     def summary(self) -> dict[str, Any]:
         """Return counts and sizes in JSON types, in world units; of labels also the voxels and the

@@ -382,7 +382,7 @@ def in_memory(
     octree: OctreeContent, max_memory: int | None = None, names: Collection[str] = tuple(KINDS)
 ) -> Octree:
     """Return an octree of a file, or a merged one, with all its nodes in memory, and the attributes
-    of these names; the values of others stay in the file.
+    in `names`; the values of others stay in the file.
 
     Raises
     ------

@@ -270,7 +270,7 @@ class Octree(PointQueries, AttributedContent, Data):
         max_memory: int | None = None,
         names: Collection[str] = tuple(KINDS),
     ) -> Octree:
-        """Return an octree of a file in memory, with the attributes of these names; the values of
+        """Return an octree of a file in memory, with the attributes in `names`; the values of
         others stay in the file. MemoryLimitError if memory is too small, or if with attributes the
         octree takes more than `max_memory` bytes."""
         check_memory(octree.nbytes, "the octree's arrays", "choose a smaller file")

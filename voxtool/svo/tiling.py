@@ -36,7 +36,7 @@ class Box:
     high: np.ndarray
 
     def grown(self, reach: tuple[int, ...], times: int = 1) -> Self:
-        """Return the box of what is within so many times the reach along each axis."""
+        """Return the box with `times` the reach added on both sides of each axis."""
         by = times * np.array(reach)
         return type(self)(self.low - by, self.high + by)
 

@@ -8,6 +8,7 @@ which wait, too, until the bars along x are made.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -121,17 +122,17 @@ class BarsJob(WindowsJob):
     plan: BarsPlan
     axes: tuple[int, ...] = (0,)  # along which there are bars; x is the last
 
+    @abstractmethod
     def _bar_job(self, faces: np.ndarray, box: Box) -> Any:
         """Return the job of a bar, given the faces that can change it; None if it is empty."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _cubes(self, bar: Bar) -> Iterator[Window]:
         """Make a bar; yield its cubes as windows."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _everywhere(self) -> np.ndarray:
         """Return the faces that can change every bar, as those of winding numbers."""
-        raise NotImplementedError
 
     # ---- the plan
 

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from voxtool.choices import COLOURS, DEFAULT_MODE, ELEMENTS, OPERATIONS, PRIORITIES
-from voxtool.errors import GridError
 from voxtool.files import write_svo
 from voxtool.files.mesh import as_mesh
 from voxtool.files.windows import Windows
-from voxtool.grid import Grid
+from voxtool.grid import Grid, grid_of
 from voxtool.mesh.appearance import Parts
 from voxtool.opencl import Device, default_device
 from voxtool.svo.attribution.request import kept_for, plan_octree
@@ -91,13 +90,10 @@ def voxelize(
     ...     voxtool.tiles.voxelize("bunny.obj", dim=16384, client=client, file="bunny.svo.h5")
     """
     found = as_mesh(mesh, max_memory, kept_for(labels, attributes))
-    if grid and (dim or pitch):
-        raise GridError("a grid has its own dim and pitch: drop dim= and pitch=, or the grid")
-    grid = grid or Grid.fit(found, dim, pitch=pitch)
     whole = plan_octree(
-        found, grid, mode, fill=fill, gap=gap, with_surface=with_surface,
-        fraction_type=fraction_type, face_fractions=face_fractions, labels=labels,
-        priority=priority, attributes=attributes, colour=colour, device=device,
+        found, grid_of(found, grid, dim, pitch), mode, fill=fill, gap=gap,
+        with_surface=with_surface, fraction_type=fraction_type, face_fractions=face_fractions,
+        labels=labels, priority=priority, attributes=attributes, colour=colour, device=device,
         max_memory=max_memory,
     )  # fmt: skip
     job = plan_windows(whole) if client is None else plan_spread(whole, client)

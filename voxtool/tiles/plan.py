@@ -1,4 +1,4 @@
-"""Which job makes an octree in windows."""
+"""The choice of the job that makes an octree in windows."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ shares are sent with the bars along x.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -71,9 +72,9 @@ class SpreadBarsJob(BarsJob):
             side //= 2
         return side
 
+    @abstractmethod
     def _submitter(self) -> Callable[..., Any]:
         """Return a function that submits a bar, whose cubes wait in `place` if workers see it."""
-        raise NotImplementedError
 
     def _make_bars(self, bars: Sequence[Bar], store: Windows) -> None:
         submit, place = self._submitter(), store.place

@@ -102,7 +102,7 @@ def kept_of(octrees: Sequence[OctreeContent]) -> list[str]:
 
 
 def kept_bytes(octrees: Sequence[OctreeContent]) -> int:
-    """Return the predicted bytes of these attributes, in the octrees and in the result."""
+    """Return the predicted bytes of the attributes that are kept, in the octrees and the result."""
     names = kept_of(octrees)
     found = (one for octree in octrees for one in octree.attributes if one.name in names)
     return 2 * sum(one.nbytes for one in found)

@@ -107,7 +107,7 @@ class PartLabelsPlan:
         return Cost(max(device, values * bricks), host, max(largest, values * bricks // 2))
 
     def scene(self) -> dict[str, Any]:
-        """What is stored with the octree, in JSON types."""
+        """The part of the plan that is stored with the octree, in JSON types."""
         return {"labels": len(self.names), "stages": list(self.stages)}
 
     def as_dict(self) -> dict[str, Any]:

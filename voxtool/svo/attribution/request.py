@@ -1,4 +1,4 @@
-"""Which job makes an octree, with the attributes that are asked for."""
+"""The choice of the job that makes an octree with the attributes that are asked for."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ def plan_octree(
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VoxelizeJob | PartLabelsJob | SurfaceAttributesJob | FractionJob:
-    """Return the planned job of `voxtool.voxelize`."""
+    """Return the planned job of a voxelization; the parameters are those of `voxtool.voxelize`, and
+    the job returns an Octree. VoxtoolError names what does not go together; MeshError and GridError
+    as plan_voxelize."""
     if mode == FRACTION:
         if with_surface or gap or attributes:
             raise VoxtoolError("mode 'fraction' has no surface, gap and attributes: drop them")
