@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 AXIS = np.uint64(0x1249249249249249)  # the bits of x
+AT_ONCE = 1 << 15  # codes that are decoded at once, in memory that fits caches
 
 
 def spread_bits(values: np.ndarray) -> np.ndarray:
@@ -31,7 +32,8 @@ def gather_bits(codes: np.ndarray) -> np.ndarray:
         (16, 0x1F00000000FFFF),
         (32, 0x1FFFFF),
     ):
-        v = (v | (v >> np.uint64(shift))) & np.uint64(mask)
+        v |= v >> np.uint64(shift)
+        v &= np.uint64(mask)
     return v
 
 
@@ -89,4 +91,9 @@ def morton_box(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def morton_decode(codes: np.ndarray) -> np.ndarray:
     """Return the (N, 3) int64 cells of (N,) Morton codes."""
     codes = np.asarray(codes, np.uint64)
-    return np.stack([gather_bits(codes >> np.uint64(a)) for a in range(3)], axis=1).astype(np.int64)
+    cells = np.empty((len(codes), 3), np.int64)
+    for begin in range(0, len(codes), AT_ONCE):
+        some = codes[begin : begin + AT_ONCE]
+        for axis in range(3):
+            cells[begin : begin + AT_ONCE, axis] = gather_bits(some >> np.uint64(axis))
+    return cells

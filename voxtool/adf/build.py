@@ -247,7 +247,9 @@ class _Build:
                 flags.append(refined)
                 if children:
                     finer.append(Waiting.of(children, self.waiting) if self.waiting else children)
-            self.number, self.parts, self.ranks = self.number + 1, finer, ranks_of(flags)
+            self.number, self.parts = self.number + 1, finer
+            if finer:
+                self.ranks = ranks_of(flags)
 
     def make_room(self) -> None:
         """Begin to keep levels and voxels in stores, if they will exceed memory."""

@@ -59,11 +59,9 @@ def identifiers_in(cells: np.ndarray) -> np.ndarray:
 def cell_of(identifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the (n,) int64 levels and (n, 3) int64 cells of (n,) identifiers other than 0."""
     codes = np.asarray(identifiers, np.uint64)
-    levels = np.zeros(len(codes), np.int64)
-    for level in range(1, MAX_LEVEL + 1):
-        levels[codes >> np.uint64(3 * level) != 0] = level
-    leading = np.uint64(1) << (3 * levels).astype(np.uint64)
-    return levels, morton_decode(codes ^ leading)
+    leading = np.uint64(1) << np.arange(0, 3 * MAX_LEVEL + 1, 3, dtype=np.uint64)
+    levels = np.searchsorted(leading, codes, side="right") - 1
+    return levels, morton_decode(codes ^ leading[levels])
 
 
 def shown(key: np.ndarray) -> str:

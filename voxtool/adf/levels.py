@@ -1,7 +1,8 @@
 """The stages of each level of a field under construction: sample, constrain, examine, refine.
 
 The list of a cell contains the nearest triangle to every point of the cell. Children inherit the
-part of the list that they need, so lists shrink with the cells, and no tree is searched. Sixteen
+part of the list that they need, so lists shrink with the cells, and no tree is searched. A triangle
+is not needed where another point of the mesh is nearer to all corners of a cell (rivals.h). Sixteen
 triangles are tested side by side in single precision, with a bound on the error; only those that it
 leaves in doubt are tested in double precision.
 
@@ -30,6 +31,8 @@ WALKERS = {"sample_blocks", "examine_children", "pass_lists_on"}  # kernels that
 NARROWING = "adf/levels/narrow.cl"
 NARROW = 16  # numbers of a triangle in single precision: a line of the cache
 KEPT = 32  # triangles of a cell that are combined in pairs, at most
+FEW = 16  # triangles of a cell, at most, whose list is not worth pruning
+WALKED = 64  # and whose list is walked to bound the error
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
@@ -74,6 +77,8 @@ def _corners() -> np.ndarray:
 
 HEADERS = {
     "adf/levels/level.h": program.c_constants(
+        FEW=FEW,
+        WALKED=WALKED,
         JUMP=JUMP,
         KEPT=KEPT,
         NARROW=NARROW,
@@ -116,6 +121,7 @@ class Level:
             items.
         values, centres : float64, 27 and 8 a cell, the distances of its block and at the centres of
             its children, in the frame.
+        places : uint32, 27 a cell, the nearest triangles, as indices of `items`.
         states, doubts, asked : uint8, the side of the mesh of each cell; uint32, the vertices of
             its block whose signs are unknown, and those whose winding numbers are computed.
         neighbours : uint32, 27 a cell, see find_neighbours.
@@ -235,30 +241,35 @@ def narrow_triangles(tree: TriangleTree) -> Array:
 def sample(work: Construction, level: Level) -> None:
     """Compute the distances of a level's blocks, their signs, and the triangles of each child."""
     device, winding = work.device, "WINDING" in work.options
-    level.allocate(values=(27, np.float64), centres=(8, np.float64), needed=(8, np.uint32))
+    level.allocate(values=(27, np.float64), places=(27, np.uint32))
+    level.allocate(centres=(8, np.float64), needed=(8, np.uint32))
     level.arrays["masks"] = device.empty(level.arrays["items"].size, np.uint8)
-    signed = "SIGNED" in work.options
-    places = device.empty(27 * level.count, np.uint32) if signed else None
     with device.stage("sample"):
-        work.run("sample", "sample_blocks", level, places=places)
-        if signed:
+        work.run("sample", "sample_blocks", level)
+        if "SIGNED" in work.options:
             level.allocate(states=(1, np.uint8), doubts=(1, np.uint32), asked=(1, np.uint32))
-            work.run("sample", "sign_blocks", level, places=places)
+            work.run("sample", "sign_blocks", level)
         for _ in ("middles of blocks", "vertices") if winding else ():
             settle_signs(work, level)
 
 
 def settle_signs(work: Construction, level: Level) -> None:
     """Decide unknown signs by winding numbers, at the vertices in `asked`."""
-    begins = work.device.empty(level.count + 1, np.uint32)
-    with work.device.stage("signs"):
+    device = work.device
+    begins = device.empty(level.count + 1, np.uint32)
+    with device.stage("signs"):
         work.run("sample", "count_asked", level, counts=begins)
         total = exclusive_scan(begins, level.count)
         if total == 0:
             return
-        points = work.device.empty(3 * total, np.float64)
-        work.run("sample", "list_asked", level, begins=begins, points=points)
-        numbers = work.survey.winding.at_local(points, total)
+        points, vertices = device.empty(3 * total, np.float64), device.empty(total, np.uint64)
+        work.run("sample", "list_asked", level, begins=begins, points=points, vertices=vertices)
+        # blocks share most of their vertices: each is computed once
+        _, first, again = np.unique(vertices.take(), return_index=True, return_inverse=True)
+        numbers = device.zeros(total, np.float64)
+        which = device.put(np.sort(first).astype(np.uint32))  # consecutive ones are near each other
+        work.survey.winding.wind(len(first), points, which, numbers)
+        numbers = device.put(numbers.take()[first][again])
         work.run("sample", "settle_signs", level, begins=begins, numbers=numbers)
 
 

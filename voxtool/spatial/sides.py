@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import edges_of, shells_of
+from voxtool.mesh.topology import components, edges_of, shells_of
 from voxtool.spatial.boundary import along_curve, boundary_spheres
 from voxtool.spatial.distance import others_within
 from voxtool.spatial.winding_number import WindingNumber
@@ -61,16 +61,35 @@ def find_sides(
     net = np.bincount(edges, way)
     odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
     known = np.flatnonzero(~(intersecting | odd[edges].reshape(-1, 3).any(axis=1)))
+    spheres = boundary_spheres(mesh, some, winding.tree.frame)
     middle, rise = _centroids(mesh, known, normals, winding.tree.frame)
-    ahead, height = _numbers(winding, middle + rise), length(rise)
+    height = length(rise)
     # beside a single layer of faces, the number behind need not be computed
     folded = height < THIN
     folded |= others_within(winding.device, tree, middle, CLEAR * height, known)
+    alike = np.arange(len(known))
+    if not len(spheres):  # without a boundary, the number is the same in front of all of a shell
+        alike = _shells(edges, known, ~folded)
+    ahead = np.empty(len(known))
+    first = np.unique(alike)
+    ahead[first] = _numbers(winding, middle[first] + rise[first])
+    ahead = ahead[alike]
     behind = _numbers(winding, middle[folded] - rise[folded])
     ahead[folded] = np.where(np.abs(behind - ahead[folded] - 1) < 0.25, ahead[folded], np.nan)
     front = np.full(len(mesh.faces), np.nan)
     front[known] = ahead
-    return Sides(front, boundary_spheres(mesh, some, winding.tree.frame))
+    return Sides(front, spheres)
+
+
+def _shells(edges: np.ndarray, known: np.ndarray, single: np.ndarray) -> np.ndarray:
+    """Return the first of the known faces that edges connect to each of them, (n,) int64, past faces
+    that are `single` alone, (n,) bool; edges : (3F,), of all faces. At most two known faces share an
+    edge."""
+    sides = edges.reshape(-1, 3)[known[single]].ravel()
+    number = np.repeat(np.flatnonzero(single), 3)
+    one, other = (np.zeros(edges.max(initial=-1) + 1, np.int64) for _ in range(2))
+    one[sides], other[sides[::-1]] = number, number[::-1]
+    return components(one[sides], other[sides], len(known))
 
 
 def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: TriangleTree) -> bool:

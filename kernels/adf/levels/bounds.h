@@ -1,23 +1,6 @@
 // Bounds on the error of a field in the child of a block, from the triangles that may be nearest there.
 
-#include "adf/levels/lists.h"
-#include "adf/levels/narrow.h"
-
-// The triangles needed by a child of a block: the entries of the block's list that have the child's
-// bit.
-typedef struct {
-    scene_of_lists scene;
-    __global const uchar *masks;
-    uint begin, end, child;
-} child_list;
-
-// The index of the first such entry at or after a given index; `end` if there is none.
-uint from(const child_list *list, uint place)
-{
-    while (place < list->end && !(list->masks[place] >> list->child & 1))
-        ++place;
-    return place;
-}
+#include "adf/levels/rivals.h"
 
 // Upper bounds on the error of the interpolated unsigned corner distances in a cell, above and
 // below the distance to the mesh; and the corner distances to the triangle with the best bound from
@@ -77,21 +60,6 @@ double bound_apart(const child_list *list, const ways *at, double8 size, double 
     return bounds.above > bounds.below ? bounds.above : bounds.below;
 }
 
-// The slots of the next triangles of the list from `place` on, sixteen at most; the last one pads
-// them. Returns the index after them.
-uint next_sixteen(const child_list *list, uint place, uint *slots)
-{
-    uint count = 0;
-    for (; place < list->end && count < 16; ++place) {
-        slots[count] = list->scene.items[place];
-        count += list->masks[place] >> list->child & 1;
-    }
-    const uint last = count < 16 ? slots[count - 1] : 0;
-    for (; count < 16; ++count)
-        slots[count] = last;
-    return from(list, place);
-}
-
 // The growth of the distances to triangles over a cell, as of bound_by, from the least at a corner.
 float16 narrow_bend(float16 least, float16 across, float edge)
 {
@@ -102,73 +70,76 @@ float16 narrow_bend(float16 least, float16 across, float edge)
     return ahead > 0.0f && curved < bend ? curved : bend;
 }
 
-// An upper bound of what bound_apart returns, and the largest doubt. The rows of `at` are the
-// coordinates of the corners.
+// Upper bounds of the same errors from the distances to sixteen triangles in single precision: above,
+// below, and the largest doubt of a distance. The bound below is that of these triangles if `all`,
+// otherwise of all; then the nearest to each corner is among the sixteen.
 //
 // A triangle is no nearer than its plane. So on one side of it, the distance to the triangle grows by
 // no more than its largest excess over that to the plane at a corner: by 0 over the face.
-float2 narrow_bound_apart(const child_list *list, const float (*at)[8], float3 centre,
+float3 narrow_bounds(const narrow_triangles *n, bool all, const child_corners *c, const float *size,
+                     float edge)
+{
+    float16 d[8], excess = -INFINITY, shortfall = -INFINITY, least = INFINITY;
+    float16 low = INFINITY, high = -INFINITY, beyond = 0;
+    int16 one = -1, features;
+    const float16 *t = n->t, scale = sqrt(t[11]) * sqrt(t[12]);
+    const float16 nx = (t[4] * t[8] - t[5] * t[7]) * scale;
+    const float16 ny = (t[5] * t[6] - t[3] * t[8]) * scale;
+    const float16 nz = (t[3] * t[7] - t[4] * t[6]) * scale;
+    for (uint i = 0; i < 8; ++i) {
+        narrow_ways way;
+        int16 feature;
+        d[i] = sqrt(narrow_squares(n, c->at[0][i], c->at[1][i], c->at[2][i], &way, &feature));
+        features = i == 0 ? feature : features;
+        const float16 height = nx * (c->at[0][i] - t[0]) + ny * (c->at[1][i] - t[1]) +
+                               nz * (c->at[2][i] - t[2]);
+        low = lesser(low, height);
+        high = greater(high, height);
+        beyond = greater(beyond, d[i] - fabs(height));
+        least = lesser(least, d[i]);
+        excess = greater(excess, d[i] - size[i]);
+        shortfall = greater(shortfall, size[i] - (all ? d[i] : (float16)lowest_narrow(d[i])));
+        one &= feature == features;
+    }
+    float16 across = 0.5f, flat = INFINITY;
+    if (all) {
+        across = (one & (features < A)) ? (float16)0.25f : (float16)0.5f;
+        flat = low > -n->doubt | high < n->doubt ? beyond : INFINITY;
+    } else {
+        least = lowest_narrow(least);
+    }
+    shortfall += lesser(narrow_bend(least - n->doubt, across, edge), flat);
+    float above = lowest_narrow(excess), excesses[16];
+    vstore16(excess, 0, excesses);
+    uint lane = 0;
+    while (excesses[lane] != above)
+        ++lane;
+    excess = -INFINITY;
+    for (uint i = 0; i < 8; ++i)
+        excess = greater(excess, 0.5f * (((float *)&d[i])[lane] + d[i]) - size[i]);
+    above = fmin(above, lowest_narrow(excess));
+    return (float3)(above, highest_narrow(shortfall), highest_narrow(n->doubt));
+}
+
+// An upper bound of what bound_apart returns, and the largest doubt: from the list, or if it is long
+// from the child's rivals.
+float2 narrow_bound_apart(const child_list *list, const child_corners *c, const rivals *known,
                           const float *size, float edge)
 {
-    float16 below = 0, doubt = 0, kept[KEPT / 16][8];
-    float above = INFINITY, best[8];
-    uint count = 0;
-    for (uint j = from(list, list->begin); j < list->end;) {
+    float3 found = (float3)(INFINITY, 0, 0);
+    const bool all = list->count <= WALKED;
+    for (uint j = from(list, list->begin); all && j < list->end;) {
         uint slots[16];
         j = next_sixteen(list, j, slots);
-        const narrow_triangles n = sixteen_narrow(&list->scene, slots, centre, edge);
-        float16 least = INFINITY, excess = -INFINITY, shortfall = -INFINITY, d[8];
-        float16 low = INFINITY, high = -INFINITY, beyond = 0;
-        int16 one = -1, features;
-        const float16 *t = n.t, scale = sqrt(t[11]) * sqrt(t[12]);
-        const float16 nx = (t[4] * t[8] - t[5] * t[7]) * scale;
-        const float16 ny = (t[5] * t[6] - t[3] * t[8]) * scale;
-        const float16 nz = (t[3] * t[7] - t[4] * t[6]) * scale;
-        for (uint i = 0; i < 8; ++i) {
-            narrow_ways way;
-            int16 feature;
-            d[i] = sqrt(narrow_squares(&n, at[0][i], at[1][i], at[2][i], &way, &feature));
-            features = i == 0 ? feature : features;
-            const float16 height =
-                nx * (at[0][i] - t[0]) + ny * (at[1][i] - t[1]) + nz * (at[2][i] - t[2]);
-            low = lesser(low, height);
-            high = greater(high, height);
-            beyond = greater(beyond, d[i] - fabs(height));
-            least = lesser(least, d[i]);
-            excess = greater(excess, d[i] - size[i]);
-            shortfall = greater(shortfall, size[i] - d[i]);
-            one &= feature == features;
-        }
-        const float16 across = (one & (features < A)) ? (float16)0.25f : (float16)0.5f;
-        const float16 bend = narrow_bend(least - n.doubt, across, edge);
-        const int16 aside = low > -n.doubt | high < n.doubt;
-        shortfall += (aside & (beyond < bend)) ? beyond : bend;
-        below = greater(below, shortfall);
-        doubt = greater(doubt, n.doubt);
-        const float lowest_excess = -highest_narrow(-excess);
-        if (lowest_excess < above) {
-            float excesses[16];
-            vstore16(excess, 0, excesses);
-            uint lane = 0;
-            while (excesses[lane] != lowest_excess)
-                ++lane;
-            above = lowest_excess;
-            for (uint i = 0; i < 8; ++i)
-                best[i] = ((float *)&d[i])[lane];
-        }
-        for (uint i = 0; i < 8 && count < KEPT / 16; ++i)
-            kept[count][i] = d[i];
-        count += count < KEPT / 16;
+        const narrow_triangles n = sixteen_narrow(&list->scene, slots, c->centre, edge);
+        const float3 some = narrow_bounds(&n, true, c, size, edge);
+        found = (float3)(fmin(found.x, some.x), fmax(found.yz, some.yz));
     }
-    for (uint k = 0; k < count; ++k) {
-        float16 excess = -INFINITY;
-        for (uint i = 0; i < 8; ++i)
-            excess = greater(excess, 0.5f * (best[i] + kept[k][i]) - size[i]);
-        const float lowest_excess = -highest_narrow(-excess);
-        above = lowest_excess < above ? lowest_excess : above;
-    }
-    const float most = highest_narrow(doubt), under = highest_narrow(below);
-    return (float2)((above > under ? above : under) + 4 * most, most);
+#ifndef FLAT // otherwise a triangle without a side may be nearer to a corner
+    if (!all && known->count)
+        found = narrow_bounds(&known->triangles, false, c, size, edge);
+#endif
+    return (float2)(fmax(found.x, found.y) + 4 * found.z, found.z);
 }
 
 #ifdef CLOSED

@@ -31,17 +31,19 @@ uchar code_of(double bound, __global const double *bounds)
 // Whether the corner distances of a cell differ by more than is possible without a sign
 // discontinuity. Hanging corners, on a leaf with a discontinuity, may differ by more than the
 // interpolation of other corners does. Cells without triangles have no sign change.
-bool jumps(const double *corners, double edge, bool passed)
+bool jumps(double8 field, double edge, bool passed)
 {
-    for (uint i = 0; i < 8; ++i)
-        for (uint j = i + 1; j < 8; ++j) {
-            const double apart = corners[i] - corners[j], far = edge * edge * popcount(i ^ j);
-            const bool alike = (corners[i] < 0) == (corners[j] < 0);
-            if (!alike && !passed)
-                return true;
-            if (apart * apart > (alike ? 3 : 1) * far * (1 + 0x1p-20))
-                return true;
-        }
+    const ulong8 corner = (ulong8)(0, 1, 2, 3, 4, 5, 6, 7);
+    const double *corners = (const double *)&field;
+    for (uint i = 0; i < 8; ++i) {
+        const double8 apart = field - corners[i];
+        const double8 far = edge * edge * (1 + 0x1p-20) * convert_double8(popcount(corner ^ (ulong)i));
+        const long8 unlike = (field < 0.0) != (long8)(corners[i] < 0 ? -1 : 0);
+        if (!passed && any(unlike))
+            return true;
+        if (any(apart * apart > (unlike ? far : 3 * far)))
+            return true;
+    }
     return false;
 }
 
@@ -60,6 +62,8 @@ bool jumps(const double *corners, double edge, bool passed)
 typedef struct {
     uint3 cell;
     uint level;
+    child_corners at;
+    rivals known; // by which its list is pruned
     double corners[8], extent, edge, slope, radius, middle, rounding, gap, error, bound;
     bool in_doubt, passed, beyond, may_refine;
 } child_cell;
@@ -93,15 +97,7 @@ double sample_error(const child_list *list, const child_cell *c, uint k)
     double8 outward = interpolated;
 #ifdef SIGNED
     if (!c->in_doubt && c->passed) {
-        double x[8], y[8], z[8], numbers[8];
-        long which[8];
-        vstore8(points.x, 0, x);
-        vstore8(points.y, 0, y);
-        vstore8(points.z, 0, z);
-        vstore8(found.which, 0, which);
-        for (uint i = 0; i < 8; ++i)
-            numbers[i] = number_beside(scene, which[i], x[i], y[i], z[i]);
-        const double8 number = vload8(0, numbers);
+        const double8 number = numbers_beside(scene, found.which, &points);
         outward = number == number ? 0.5 - number : interpolated;
     }
 #endif
@@ -132,18 +128,11 @@ void sample_all(const child_list *list, child_cell *c, double tolerance, uint th
     c->bound = between < c->bound ? between : c->bound;
 }
 
-float3 centre_of(const child_cell *c)
-{
-    const double scale = 2.0 / (2ul << c->level);
-    const double3 middle = (double3)(2 * c->cell.x + 1, 2 * c->cell.y + 1, 2 * c->cell.z + 1);
-    return convert_float3(c->extent * (middle * scale - 1.0));
-}
-
 // As sample_all, of a child that no triangle passes, from distances in single precision; returns
-// false if these do not decide.
+// false if these do not decide whether the error exceeds the tolerance.
 bool samples_decide(const child_list *list, child_cell *c, double tolerance)
 {
-    const float3 centre = centre_of(c);
+    const float3 centre = c->at.centre;
     const float edge = (float)c->edge;
     float16 x[2], y[2], z[2];
     for (uint k = 0; k < 2; ++k) {
@@ -169,7 +158,7 @@ bool samples_decide(const child_list *list, child_cell *c, double tolerance)
         const double miss = highest(absolute(field - convert_double8(sqrt(square))));
         error = miss > error ? miss : error;
     }
-    if (!(error + doubt <= tolerance) && !(c->may_refine && error - doubt > tolerance))
+    if (!(error + doubt <= tolerance || error - doubt > tolerance))
         return false;
     const double between = error + doubt + c->rounding + c->gap;
     c->error = error;
@@ -177,21 +166,20 @@ bool samples_decide(const child_list *list, child_cell *c, double tolerance)
     return true;
 }
 
-// Computes the error bound of a child that no triangle passes. If it exceeds the tolerance, samples
-// the error, unless the child lies beyond the band and samples cannot lower the bound.
-void examine_apart(const child_list *list, child_cell *c, double tolerance, uint thorough)
+// Computes the error bound of a child that no triangle passes. If it exceeds the tolerance, prunes the
+// list and samples the error, unless the child lies beyond the band and samples cannot lower the bound.
+void examine_apart(child_list *list, child_cell *c, double tolerance, uint thorough)
 {
     const double8 size = absolute(vload8(0, c->corners));
-    const ways at = lattice_points(c->cell, CELL, 0, c->level, c->extent);
-    const float3 centre = centre_of(c);
-    float corners[3][8], sizes[8];
-    vstore8(convert_float8(at.x - centre.x), 0, corners[0]);
-    vstore8(convert_float8(at.y - centre.y), 0, corners[1]);
-    vstore8(convert_float8(at.z - centre.z), 0, corners[2]);
+    float sizes[8];
     vstore8(convert_float8(size), 0, sizes);
-    const float2 narrow = narrow_bound_apart(list, corners, centre, sizes, (float)c->edge);
-    c->bound = narrow.x > 16 * narrow.y ? narrow.x : bound_apart(list, &at, size, c->edge);
-    c->bound += c->rounding;
+    const float edge = (float)c->edge;
+    const float2 narrow = narrow_bound_apart(list, &c->at, &c->known, sizes, edge);
+    c->bound = narrow.x > 16 * narrow.y ? narrow.x + c->rounding : INFINITY;
+    if (c->bound > tolerance)
+        prune(list, &c->at, &c->known, edge);
+    if (c->bound == INFINITY)
+        c->bound = bound_apart(list, &c->at.exact, size, c->edge) + c->rounding;
     if (c->bound <= tolerance || (c->beyond && c->bound <= c->rounding + c->gap))
         return;
     if (thorough || !samples_decide(list, c, tolerance))
@@ -205,8 +193,7 @@ void examine_passed(const child_list *list, child_cell *c, double tolerance, uin
 {
 #ifdef CLOSED
     const double8 field = vload8(0, c->corners);
-    const ways at = lattice_points(c->cell, CELL, 0, c->level, c->extent);
-    c->bound = bound_passed(list, &at, field, c->middle + 2 * c->radius) + c->rounding;
+    c->bound = bound_passed(list, &c->at.exact, field, c->middle + 2 * c->radius) + c->rounding;
     if (c->bound <= tolerance)
         return;
 #endif
@@ -215,12 +202,14 @@ void examine_passed(const child_list *list, child_cell *c, double tolerance, uin
 #endif
 
 // Whether a child is refined: its error exceeds the tolerance, or triangles pass a coarse child
-// whose bound does. Computes both as far as they are needed.
-bool examined(const child_list *list, child_cell *c, double tolerance, uint refine_coarse,
-              uint thorough)
+// whose bound does. Computes both as far as they are needed, and prunes the list.
+bool examined(child_list *list, child_cell *c, double tolerance, uint refine_coarse, uint thorough)
 {
     const double miss = fabs(fabs(interpolated_at(c, 0).s0) - c->middle);
-    if (c->may_refine && !thorough && miss > tolerance) // at the centre, whatever its sign
+    const bool misses = c->may_refine && !thorough && miss > tolerance; // at the centre
+    if (misses || c->passed)
+        prune(list, &c->at, &c->known, (float)c->edge);
+    if (misses) // whatever the sign
         return true;
 #ifdef SIGNED
     if (c->passed)
@@ -241,14 +230,15 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
                                __global const uint *doubts,
 #endif
                                __global const float *voxels, __global const double *centres,
-                               __global const double *bounds, __global const uchar *masks,
-                               __global uint *flags, __global float *errors, __global uchar *codes,
-                               __global uint *steepest)
+                               __global const double *bounds, __global const uint *places,
+                               __global uchar *masks, __global uint *needed,
+                               __global uint *flags, __global float *errors,
+                               __global uchar *codes, __global uint *steepest)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    child_list list = {{SCENE_VALUES}, masks, begins[gid], begins[gid + 1], 0};
+    child_list list = {{SCENE_VALUES}, masks, begins[gid], begins[gid + 1], 0, 0};
     const double side = 2 * extent;
     child_cell c;
     c.level = level + 1;
@@ -259,7 +249,10 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
     for (uint child = 0; child < 8; ++child) {
         const size_t place = 8 * (size_t)gid + child;
         list.child = child;
+        list.count = needed[place];
         c.cell = 2 * cell_of(identifiers[gid], level) + octant(child);
+        c.at = corners_of(c.cell, c.level, extent);
+        c.known = rivals_in(&list, &c.at, places + 27 * (size_t)gid, (float)c.edge);
         c.in_doubt = false;
         for (uint i = 0; i < 8; ++i) {
             c.corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
@@ -279,10 +272,11 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         c.bound = INFINITY;
         bool jumped = false;
 #ifdef JUMPS
-        jumped = jumps(c.corners, c.edge, c.passed);
+        jumped = jumps(field, c.edge, c.passed);
 #endif
         const bool refined = jumped ? c.may_refine && refine_coarse
                                     : examined(&list, &c, tolerance, refine_coarse, thorough);
+        needed[place] = list.count;
         flags[place] = refined;
         errors[place] = jumped ? -1 : c.beyond ? 0 : (float)(c.error / side);
         codes[place] = jumped ? JUMP : code_of(c.bound / side, bounds);

@@ -149,19 +149,47 @@ double8 squares_to(const triangle *t, const ways *points)
 }
 
 #ifdef SIGNED
-// The winding number at the middle of a face, on the side of the face on which a point lies; NAN
-// where it is unknown. The face is that of the triangle at an index of the lists.
-double number_beside(const scene_of_lists *scene, long place, double x, double y, double z)
+#define LANES_OF(i)                                                                                    \
+    (double8)(own[0][(i) * LEAF], own[1][(i) * LEAF], own[2][(i) * LEAF], own[3][(i) * LEAF],          \
+              own[4][(i) * LEAF], own[5][(i) * LEAF], own[6][(i) * LEAF], own[7][(i) * LEAF])
+
+// The triangles of eight slots, one per lane.
+triangle triangles_of(__global const double *leaves, const uint *slots)
 {
-    if (place == NO_TRIANGLE)
-        return NAN;
-    const uint name = scene->names[scene->items[place]];
-    const triangle t = triangle_at(scene, (uint)place);
+    __global const double *own[8];
+    for (uint i = 0; i < 8; ++i)
+        own[i] = leaves + (size_t)(slots[i] / LEAF) * (FIELDS * LEAF) + slots[i] % LEAF;
+    const triangle t = {LANES_OF(0),  LANES_OF(1),  LANES_OF(2),  LANES_OF(3),  LANES_OF(4),
+                        LANES_OF(5),  LANES_OF(6),  LANES_OF(7),  LANES_OF(8),  LANES_OF(9),
+                        LANES_OF(10), LANES_OF(11), LANES_OF(12), LANES_OF(13), LANES_OF(14)};
+    return t;
+}
+
+// The winding numbers at the middles of eight faces, on the sides of the faces on which eight points
+// lie; NAN where they are unknown. The faces are those of the triangles at these indices of the lists.
+double8 numbers_beside(const scene_of_lists *scene, long8 which, const ways *points)
+{
+    long place[8], feature_of[8];
+    double front[8], x[8], y[8], z[8];
+    uint slots[8];
+    vstore8(which, 0, place);
+    for (uint i = 0; i < 8; ++i)
+        slots[i] = place[i] == NO_TRIANGLE ? 0 : scene->items[place[i]];
+    const triangle t = triangles_of(scene->leaves, slots);
     ways way;
     MASKS feature;
-    triangle_ways(&t, x, y, z, &way, &feature);
-    const double3 n = normal_of(name, (uint)feature.s0, scene->features, scene->normals);
-    const bool behind = way.x.s0 * n.x + way.y.s0 * n.y + way.z.s0 * n.z < 0;
-    return in_front(scene, name / 3) + (behind ? 1.0 : 0.0);
+    triangle_ways(&t, points->x, points->y, points->z, &way, &feature);
+    vstore8(feature, 0, feature_of);
+    for (uint i = 0; i < 8; ++i) {
+        const uint name = scene->names[slots[i]];
+        const bool known = place[i] != NO_TRIANGLE;
+        const double3 n =
+            known ? normal_of(name, (uint)feature_of[i], scene->features, scene->normals) : 0;
+        x[i] = n.x, y[i] = n.y, z[i] = n.z;
+        front[i] = known ? in_front(scene, name / 3) : NAN;
+    }
+    const double8 along =
+        way.x * vload8(0, x) + way.y * vload8(0, y) + way.z * vload8(0, z);
+    return vload8(0, front) + (along < 0.0 ? (double8)1.0 : (double8)0.0);
 }
 #endif

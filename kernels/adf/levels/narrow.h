@@ -123,3 +123,8 @@ float highest_narrow(float16 a)
     const float2 d = c.lo > c.hi ? c.lo : c.hi;
     return d.x > d.y ? d.x : d.y;
 }
+
+float lowest_narrow(float16 a)
+{
+    return -highest_narrow(-a);
+}

@@ -263,9 +263,7 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
         vstore8(found[k].which, 0, which);
         for (uint i = 0; i < 8 && 8 * k + i < 27; ++i) {
             values[27 * (size_t)gid + 8 * k + i] = distances[i];
-#ifdef SIGNED
             places[27 * (size_t)gid + 8 * k + i] = (uint)which[i];
-#endif
         }
     }
 }
@@ -294,6 +292,17 @@ double with_sign(double value, bool inside)
 {
     const double distance = value < 0 ? -value : value;
     return inside && distance > 0 ? -distance : distance;
+}
+
+// The winding numbers beside the faces nearest to eight vertices of a block, from vertex 8 k on.
+double8 vertex_numbers(const scene_of_lists *scene, __global const uint *nearest_of, ulong identifier,
+                       uint level, double extent, uint k)
+{
+    long which[8];
+    for (uint i = 0; i < 8; ++i)
+        which[i] = nearest_of[min(8 * k + i, 26u)];
+    const ways points = lattice_points(2 * cell_of(identifier, level), VERTICES, k, level + 1, extent);
+    return numbers_beside(scene, vload8(0, which), &points);
 }
 
 // The longest edge of the triangles of a list.
@@ -337,22 +346,24 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
     }
 #endif
     if (state == UNKNOWN && apart) {
-        const double3 p = vertex_point(identifiers[gid], level, extent, MIDDLE);
-        const double number = number_beside(&scene, nearest_of[MIDDLE], p.x, p.y, p.z);
+        double numbers[8];
+        vstore8(vertex_numbers(&scene, nearest_of, identifiers[gid], level, extent, MIDDLE / 8), 0, numbers);
+        const double number = numbers[MIDDLE % 8];
         if (fabs(number - 0.5) > leeway)
             state = number > 0.5 ? INSIDE : OUTSIDE;
     }
     uint doubtful = 0;
-    for (uint i = 0; i < 27; ++i) {
-        bool inside = state == INSIDE;
-        if (state == UNKNOWN) {
-            const double3 p = vertex_point(identifiers[gid], level, extent, i);
-            const double number =
-                apart ? NAN : number_beside(&scene, nearest_of[i], p.x, p.y, p.z);
-            inside = number > 0.5;
-            doubtful |= (fabs(number - 0.5) > leeway ? 0u : 1u) << i;
+    for (uint k = 0; k < POINTS / 8; ++k) {
+        double numbers[8];
+        const bool beside = state == UNKNOWN && !apart;
+        vstore8(beside ? vertex_numbers(&scene, nearest_of, identifiers[gid], level, extent, k) : NAN, 0,
+                numbers);
+        for (uint i = 8 * k; i < min(8 * k + 8, 27u); ++i) {
+            const double number = numbers[i % 8];
+            if (state == UNKNOWN)
+                doubtful |= (fabs(number - 0.5) > leeway ? 0u : 1u) << i;
+            own[i] = with_sign(own[i], state == UNKNOWN ? number > 0.5 : state == INSIDE);
         }
-        own[i] = with_sign(own[i], inside);
     }
     states[gid] = state;
 #ifdef WINDING
@@ -371,17 +382,22 @@ __kernel void count_asked(const uint n, __global const uint *asked, __global uin
         counts[gid] = popcount(asked[gid]);
 }
 
-// The points of the requested vertices.
+// The points of the requested vertices, and a number for each vertex of the lattice.
 __kernel void list_asked(const uint n, CELLS, __global const uint *asked,
-                         __global const uint *begins, __global double *points)
+                         __global const uint *begins, __global double *points,
+                         __global ulong *vertices)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
+    const ulong side = (2ul << level) + 1;
+    const uint3 low = 2 * cell_of(identifiers[gid], level);
     uint at = begins[gid];
     for (uint i = 0; i < 27; ++i)
-        if (asked[gid] >> i & 1)
+        if (asked[gid] >> i & 1) {
+            vertices[at] = low.x + i % 3 + side * (low.y + i / 3 % 3 + side * (low.z + i / 9));
             vstore3(vertex_point(identifiers[gid], level, extent, i), at++, points);
+        }
 }
 
 // Sets the signs from these winding numbers. If no triangle passes a block, the number at its
