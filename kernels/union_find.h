@@ -15,16 +15,17 @@ uint root_of(volatile __global uint *roots, uint i)
     return i;
 }
 
-void unite(volatile __global uint *roots, uint a, uint b)
+// Unite the components of two nodes; false if they were one.
+bool unite(volatile __global uint *roots, uint a, uint b)
 {
     for (;;) {
         a = root_of(roots, a);
         b = root_of(roots, b);
         if (a == b)
-            return;
+            return false;
         const uint low = min(a, b), high = max(a, b);
         if (atomic_cmpxchg(&roots[high], high, low) == high)
-            return;
+            return true;
         a = low;
         b = high;
     }

@@ -122,6 +122,8 @@ HARMLESS = UNITE | {
             "(void)lists[LIST * (size_t)at[i]];",
             "const uint place = atomic_inc(list) + 1, side = 3 * b.begin + k;",
         ),
+        # all write the same
+        ("used[corners[k]] = 1;",),
         # a slot of the table is taken once and for good
         ("other = *slot;", "other = atomic_cmpxchg(slot, 0, i + 1);"),
         # the mark is masked out of what is read

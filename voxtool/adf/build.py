@@ -37,9 +37,9 @@ from voxtool.adf.survey import Survey, cube_of
 from voxtool.adf.waiting import Store, Waiting
 from voxtool.errors import human
 from voxtool.job import Job
+from voxtool.mesh.counts import check_topology
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
-from voxtool.mesh.topology import check_topology
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT
@@ -176,7 +176,7 @@ class FieldJob(Job["DistanceField"]):
             return ""
         wrong = []
         if default_sign(mesh) != "pseudonormal":
-            wrong.append(f"is {once(check_topology)(mesh).summary()}")
+            wrong.append(f"is {once(check_topology)(mesh, self.device).summary()}")
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
         if plan.undecided:

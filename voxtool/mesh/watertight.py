@@ -14,7 +14,7 @@ import numpy as np
 
 from voxtool.mesh import topology
 from voxtool.mesh.mesh import Mesh
-from voxtool.opencl import Device, program
+from voxtool.opencl import Array, Device, program
 
 SOURCE = "mesh/watertight.cl"
 MOST_PROBES = 64  # of a chain in the table
@@ -36,18 +36,16 @@ def watertight(mesh: Mesh, device: Device, most_faces: int = MOST_FACES) -> bool
     if not 0 < count <= most_faces:
         return topology.watertight(mesh)
     faces, points = device.view(mesh.faces.ravel()), device.view(mesh.vertices.ravel())
-    mask = (1 << (2 * n - 1).bit_length()) - 1
-    table, first = device.zeros(mask + 1, np.uint32), device.empty(n, np.uint32)
-    merged, unsure, is_open, some = (device.zeros(1, np.uint32) for _ in range(4))
-    device.kernel(SOURCE, "merge_vertices")(
-        -(-n // BATCH), points, table, mask, first, merged, unsure, n=n
-    )
+    first, sure = merge_vertices(device, points, n)
+    if not sure:
+        return topology.watertight(mesh)
+    unsure, is_open, some = (device.zeros(1, np.uint32) for _ in range(3))
     sides = {
         "lists": device.zeros(LIST * n, np.uint32),
         "heads": device.zeros(n, np.uint32),
         "more": device.empty(6 * count, np.uint32),
     }
-    of = {"n": count, "faces": faces, "first": first if merged.take()[0] else None, **sides}
+    of = {"n": count, "faces": faces, "first": first, **sides}
     items = -(-count // BATCH)
     device.kernel(SOURCE, "list_sides")(items, **of)
     device.kernel(SOURCE, "mark_sides")(items, open=is_open, unsure=unsure, **of)
@@ -55,3 +53,16 @@ def watertight(mesh: Mesh, device: Device, most_faces: int = MOST_FACES) -> bool
     if unsure.take()[0]:
         return topology.watertight(mesh)
     return bool(some.take()[0]) and not is_open.take()[0]
+
+
+def merge_vertices(device: Device, points: Array, n: int) -> tuple[Array | None, bool]:
+    """Return the same number for all vertices at a position, (n,) uint32: one of them; None if no
+    two of them have one position. Also return False if a chain in the table was too long to
+    tell."""
+    mask = (1 << (2 * n - 1).bit_length()) - 1
+    table, first = device.zeros(mask + 1, np.uint32), device.empty(n, np.uint32)
+    merged, unsure = (device.zeros(1, np.uint32) for _ in range(2))
+    device.kernel(SOURCE, "merge_vertices")(
+        -(-n // BATCH), points, table, mask, first, merged, unsure, n=n
+    )
+    return first if merged.take()[0] else None, not unsure.take()[0]

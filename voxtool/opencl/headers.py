@@ -18,6 +18,7 @@ HOMES = {
     "adf/hashing.h": "voxtool.adf.hashing",
     "adf/query.h": "voxtool.adf.query",
     "adf/raycast.h": "voxtool.adf.raycast",
+    "mesh/counts.h": "voxtool.mesh.counts",
     "mesh/watertight.h": "voxtool.mesh.watertight",
     "opencl/primitives.h": "voxtool.opencl.primitives",
     "spatial/arctangent.h": "voxtool.spatial.pseudonormals",

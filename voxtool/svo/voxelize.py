@@ -29,14 +29,10 @@ from voxtool.choices import FILLS, MODES
 from voxtool.errors import GridError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Job, one_call
+from voxtool.mesh.counts import check_topology
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
-from voxtool.mesh.topology import (
-    check_topology,
-    merged_faces,
-    net_faces,
-    volume,
-)
+from voxtool.mesh.topology import merged_faces, net_faces, volume
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Array, Device, default_device
 from voxtool.opencl.builder import Request
@@ -360,7 +356,7 @@ class VoxelizeJob(Job[Octree]):
         rule = self.choice.fill if self.choice else "winding"
         if not self.chosen or self.watertight or not octree.fill.startswith(rule):
             return []
-        summary = f"{self._name} is {once(check_topology)(self._given).summary()}"
+        summary = f"{self._name} is {once(check_topology)(self._given, self.device).summary()}"
         if self.choice:
             return [f"{summary}; {self.choice.why}"]
         holes = f"{count_of(self.plan.holes, 'hole')}, " if self.plan.holes else ""
@@ -374,7 +370,7 @@ class VoxelizeJob(Job[Octree]):
             "they pass a gap",
         }.get(octree.fill)
         if leak and not self.watertight:
-            found = once(check_topology)(self.mesh)
+            found = once(check_topology)(self.mesh, self.device)
             if octree.fill == "nonzero" or not found.even:
                 yield f"{self._name} is {found.summary()}; {leak}"
         if self._crowded:
