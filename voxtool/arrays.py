@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+ALIGNMENT = 128  # bytes, of buffers that CPU drivers do not copy (CL_DEVICE_MEM_BASE_ADDR_ALIGN)
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -84,6 +86,24 @@ def float64(values: Any) -> np.ndarray:
     """Return a copy as float64 in C order; of signalling NaN numpy would warn."""
     with np.errstate(invalid="ignore"):
         return np.array(values, np.float64, order="C")
+
+
+def aligned_empty(shape: tuple[int, ...], dtype: np.dtype | type) -> np.ndarray:
+    """Return an array of undefined content, in C order, that begins at a multiple of ALIGNMENT
+    bytes: CPU devices read and write it where it is."""
+    nbytes = math.prod(shape) * np.dtype(dtype).itemsize
+    memory = np.empty(nbytes + ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % ALIGNMENT
+    return memory[start : start + nbytes].view(dtype).reshape(shape)
+
+
+def aligned(values: Any, dtype: np.dtype | type) -> np.ndarray:
+    """Return a copy of values in an aligned array; of signalling NaN numpy would warn."""
+    values = np.asarray(values)
+    copy = aligned_empty(values.shape, dtype)
+    with np.errstate(invalid="ignore"):
+        copy[...] = values
+    return copy
 
 
 def digest_of(head: dict[str, Any], *arrays: np.ndarray) -> str:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voxtool.arrays import aligned
 from voxtool.choices import DEFAULT_DIM, FITS, MAX_DIM, MIN_DIM
 from voxtool.errors import GridError
 
@@ -209,7 +210,7 @@ class Grid:
                 f"{FIXED_POINT_LIMIT >> FIXED_POINT_BITS} voxels from the grid's corner: "
                 "choose a larger pitch or a nearer box"
             )
-        return scaled.astype(np.int32)
+        return aligned(scaled, np.int32)
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
         """Return (N, 3) points in grid units as (N, 3) float64 world coordinates."""

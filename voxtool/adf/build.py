@@ -37,6 +37,7 @@ from voxtool.adf.survey import Survey, cube_of
 from voxtool.adf.waiting import Store, Waiting
 from voxtool.errors import human
 from voxtool.job import Job
+from voxtool.mesh.counts import PROGRAMS as COUNTING
 from voxtool.mesh.counts import check_topology
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
@@ -175,7 +176,7 @@ class FieldJob(Job["DistanceField"]):
         if plan.sign == "none" or plan.closed:
             return ""
         wrong = []
-        if default_sign(mesh) != "pseudonormal":
+        if _is_warned(self._survey, plan):
             wrong.append(f"is {once(check_topology)(mesh, self.device).summary()}")
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
@@ -202,7 +203,14 @@ def _programs(survey: Survey, plan: FieldPlan) -> list[Request]:
         found.append((RADIX_SORT, {"KEY": "uint"}))
     if plan.measure:
         found += of_distances(survey.device, plan.sign)
+    if _is_warned(survey, plan):
+        found += COUNTING
     return found
+
+
+def _is_warned(survey: Survey, plan: FieldPlan) -> bool:
+    """Return whether a warning says how the mesh's edges make signs uncertain."""
+    return not (plan.sign == "none" or plan.closed or default_sign(survey.mesh) == "pseudonormal")
 
 
 class _Build:

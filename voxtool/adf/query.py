@@ -44,10 +44,10 @@ from voxtool.adf.textures import (
     filtered_of,
     textures_of,
 )
+from voxtool.arrays import aligned_empty
 from voxtool.choices import EXACT, SAMPLERS, SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
-from voxtool.opencl.device import ALIGNMENT
 
 HOST_POINTS = 128  # up to this number the host is faster than a launch
 BLOCK = 1 << 18  # points that are on the device at once
@@ -218,7 +218,8 @@ class FieldQuery:
         The device searches while the host rounds one block and reads the values of another.
         """
         shape = self._shape(request.search)
-        memory = [_point_memory(shape.padded(min(self.block, len(points)))) for _ in range(2)]
+        most = shape.padded(min(self.block, len(points)))
+        memory = [aligned_empty((most, 3), np.uint32) for _ in range(2)]
         running: tuple[slice, np.ndarray, _Running] | None = None
         for start in range(0, len(points), self.block):
             block = slice(start, min(start + self.block, len(points)))
@@ -259,7 +260,7 @@ class FieldQuery:
         which, has_bounds = np.flatnonzero(result.outside), self.field.bounds is not None
         request = _Request("binary", gradient=True, bounds=has_bounds, cell=not has_bounds)
         n = len(which)
-        memory = _point_memory(self._shape("binary").padded(n))
+        memory = aligned_empty((self._shape("binary").padded(n), 3), np.uint32)
         memory[:n] = fixed[which]
         found = self._start(memory, n, request).finish()
         bound = (
@@ -332,10 +333,3 @@ class _Running:
         for name in found.keys() & {"gradients", "leaves"}:
             found[name] = found[name].reshape(-1, 3)
         return {name: values[: self.n] for name, values in found.items()}
-
-
-def _point_memory(n: int) -> np.ndarray:
-    """Return an uninitialized (n, 3) uint32 array in memory that a CPU driver can share."""
-    memory = np.empty(12 * n + ALIGNMENT, np.uint8)
-    start = -memory.ctypes.data % ALIGNMENT
-    return memory[start : start + 12 * n].view(np.uint32).reshape(n, 3)

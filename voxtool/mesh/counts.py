@@ -15,10 +15,13 @@ from voxtool.mesh.collinear import collinear
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import TopologyCheck
 from voxtool.mesh.watertight import MOST_SIDES, merge_vertices
+from voxtool.mesh.watertight import SOURCE as MERGING
 from voxtool.opencl import Device, program
-from voxtool.opencl.primitives import exclusive_scan
+from voxtool.opencl.builder import Request
+from voxtool.opencl.primitives import SCAN, exclusive_scan
 
 SOURCE = "mesh/counts.cl"
+PROGRAMS: list[Request] = [(MERGING, {}), (SCAN, {}), (SOURCE, {})]
 MOST_FACES = 1 << 29  # whose sides 31 bits count
 POSITIONS = 16  # of a work-item
 # The sums over edges, and their number.

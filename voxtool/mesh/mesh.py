@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.arrays import Data, float64, read_only
+from voxtool.arrays import Data, aligned, read_only
 from voxtool.errors import MeshError, count_of, one_line
 from voxtool.mesh.appearance import WHITE, Appearance, Parts, check_described
 
@@ -162,7 +162,7 @@ def mesh_from_arrays(
     """
     where = name or "mesh"
     try:
-        points = float64(vertices)
+        points = aligned(vertices, np.float64)
         corners = np.asarray(faces)
     except (TypeError, ValueError) as error:
         raise MeshError(f"{where}: not arrays of numbers: {one_line(error)}") from None
@@ -185,7 +185,7 @@ def mesh_from_arrays(
             f"{where}: vertex {vertex} is not finite: ({', '.join(map(str, points[vertex]))}): "
             "remove it or give it a position"
         )
-    indices = np.array(corners, np.int32, order="C")
+    indices = aligned(corners, np.int32)
     mesh = Mesh(
         points, indices, source_sha256, name, units, parts=parts or {}, appearance=appearance
     )

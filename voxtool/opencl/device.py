@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from voxtool.arrays import ALIGNMENT
 from voxtool.errors import LESS, DeviceError, MemoryLimitError
 from voxtool.memory import available_memory
 from voxtool.opencl import driver, launch
@@ -26,7 +27,6 @@ T = TypeVar("T")
 KEPT_SHARE = 0.25  # of the memory that work may take, for data that is used again
 OUT_OF_MEMORY = (-4, -5, -6)  # CL_MEM_OBJECT_ALLOCATION_FAILURE, _OUT_OF_RESOURCES, _HOST_MEMORY
 PAGE = 4096  # alignment at which a CPU's driver uses the host's memory as it is
-ALIGNMENT = 128  # bytes, of buffers that CPU drivers do not copy (CL_DEVICE_MEM_BASE_ADDR_ALIGN)
 SHARED_FROM = 1 << 16  # bytes; smaller arrays are the driver's own
 VECTOR = 16  # items that a work-item of a CPU processes side by side: a vector of float32
 WITHOUT_FLOAT64 = "octrees (--fill parity, nonzero or flood) and their surfaces"

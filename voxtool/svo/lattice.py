@@ -81,14 +81,14 @@ def place_mesh(
         fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
     own = mesh.faces if some is None else mesh.faces[some]
     caps = None if boundary is None else find_caps(fixed, boundary)
-    faces = device.put(own if caps is None else np.concatenate([own, caps.faces]))
+    faces = device.view(own if caps is None else np.concatenate([own, caps.faces]))
     closed, closing = faces, None
     if boundary is not None and caps is not None:
         kept = caps.faces[: len(caps.faces) - np.count_nonzero(boundary.alone)]
         closing = device.put(kept)
         if len(kept) < len(caps.faces):
             closed = device.put(np.concatenate([own[~boundary.alone], kept]))
-    vertices = device.put(fixed)
+    vertices = device.view(fixed)
     return LatticeMesh(device, grid, fixed, vertices, faces, len(own), closed, closing, caps)
 
 

@@ -29,6 +29,7 @@ from voxtool.choices import FILLS, MODES
 from voxtool.errors import GridError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Job, one_call
+from voxtool.mesh.counts import PROGRAMS as COUNTING
 from voxtool.mesh.counts import check_topology
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
@@ -268,7 +269,7 @@ class VoxelizeJob(Job[Octree]):
         programs += [(BUILD, code), (COMPACTION, {"KEY": options["CODE"]})]
         if plan.solid:
             programs += [*by_rows, (LEVELS if plan.propagation == "levels" else ROWS, code)]
-        return programs
+        return programs + (COUNTING if self.chosen and not self.watertight else [])
 
     def _run(self) -> Octree:
         plan, scan = self.plan, Scan(self.lattice, self.plan)
