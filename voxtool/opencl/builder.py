@@ -43,7 +43,7 @@ class Builder:
     def program(self, source: str, defines: Mapping[str, int | str]) -> Built:
         """The program of kernels/`source` with the given -D options; waits for a thread that
         builds it. Raises DeviceError if it does not build."""
-        key = source, *sorted(defines.items())
+        key = _key(source, defines)
         with self._locks.setdefault(key, threading.Lock()):
             if key not in self._built:
                 signatures = launch.signatures(program.flatten(source), defines)
@@ -53,8 +53,8 @@ class Builder:
             return self._built[key]
 
     def prepare(self, requests: Iterable[Request]) -> None:
-        """Begin to build programs in the background, in this order."""
-        waiting = deque(requests)
+        """Begin to build programs in the background, in this order, but those that are built."""
+        waiting = deque(request for request in requests if _key(*request) not in self._built)
 
         def build_waiting() -> None:
             with suppress(IndexError):  # none is left
@@ -70,3 +70,7 @@ class Builder:
     def requests(self) -> set[Any]:
         """The sources and options of all programs that were built."""
         return set(self._built)
+
+
+def _key(source: str, defines: Mapping[str, int | str]) -> Any:
+    return source, *sorted(defines.items())
