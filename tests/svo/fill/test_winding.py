@@ -62,9 +62,11 @@ def test_expansions_keep_their_bounds(device: Device, level: int) -> None:
         points = (morton_decode(block[None])[0] * size + cells) * UNIT + UNIT // 2
         at = winding(points, caps)
         x, y, z = ((points - points[0]) * unit).T
-        a, b, c, xx, yy, zz, yz, xz, xy = terms
+        a, b, c, xx, yy, zz, yz, xz, xy, *cubic = terms
         change = a * x + b * y + c * z + xx * x * x + yy * y * y + zz * z * z
         change += yz * y * z + xz * x * z + xy * x * y
+        xyz = [x**3, y**3, z**3, x*x*y, x*x*z, y*y*x, y*y*z, z*z*x, z*z*y, x*y*z]  # fmt: skip
+        change += cubic @ np.array(xyz)
         error = np.abs(at - at[0] - change).max()
         assert error <= rest + EXACT
         tightest = min(tightest, rest / max(error, EXACT))

@@ -8,7 +8,7 @@ voxel is inside if N >= w(C) + 1/2.
 Away from holes, w(C) lies between -1/2 and 1/2, and the condition is N >= 1. Blocks of voxels are
 examined from the octree's root down. w(M) is smooth where M does not pass, also across caps, and
 w(C) is smooth where caps do not pass. By the law of Biot and Savart, its derivatives are integrals
-along the boundary: a sum over the boundary's edges gives the polynomial of second order about the
+along the boundary: a sum over the boundary's edges gives the polynomial of third order about the
 block's middle, and a bound of the rest. Together with the number in the middle, it decides blocks
 at once, or all voxels except a few near the level set of 1/2; otherwise the block is split. In
 the bricks that remain, near the boundary and where M and C pass together, the number at all voxels
@@ -68,7 +68,7 @@ DOUBT = REACHES[0][1]
 MIDDLE = 2  # the reach of numbers in the middle of blocks
 LIMIT = 0.5  # of a useful expansion's error
 TAKEN_LEVEL = 4  # of the largest blocks whose bricks are decided by one expansion
-EXPANSION = 10  # numbers
+EXPANSION = 20  # numbers
 NONE, SOME, ALL = range(3)  # voxels
 HALF = 0.5 - 2.0**-21  # 1/2 minus the rounding error
 BEYOND_GRID = 1 << 30  # number of a voxel beyond the grid
@@ -237,10 +237,10 @@ class NearHoles:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return (n,) float64 bounds from below and above of expanded numbers at voxels."""
         half = 2 ** (level - 1) * self._voxel
-        slope, bend = expansions[:, :3], expansions[:, 3:9]
+        slope, bend, twist = expansions[:, :3], expansions[:, 3:9], expansions[:, 9:-1]
         sizes = np.sqrt((bend[:, :3] ** 2).sum(axis=1) + (bend[:, 3:] ** 2).sum(axis=1) / 2)
         spread = 3 * half**2 * sizes + half * np.abs(slope).sum(axis=1)
-        spread += expansions[:, -1]
+        spread += half**3 * np.abs(twist).sum(axis=1) + expansions[:, -1]
         return values - spread, values + spread
 
     def _find_crowds(self, blocks: np.ndarray, level: int) -> np.ndarray:
@@ -385,8 +385,8 @@ def _boxes(points: np.ndarray, caps: Caps) -> Mesh:
 
 def _groups(caps: Caps, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the boundary edges in groups of eight: the first group of each hole, (H + 1,) uint32,
-    and (groups, 6, 8) float64, the x, y, z of an edge's start and of its end. The last group of a
-    hole is filled with its last vertex."""
+    and (groups, 8, 8) float64, the x, y, z of an edge's start and of its end, its length, and 1
+    over its square; 1 if it has none. The last group of a hole is filled with its last vertex."""
     groups = -(-np.diff(caps.first) // 8)
     first = np.concatenate([[0], np.cumsum(groups)])
     edge = np.arange(8 * first[-1]) - np.repeat(8 * first[:-1] - caps.first[:-1], 8 * groups)
@@ -394,7 +394,9 @@ def _groups(caps: Caps, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ends = caps.edges[np.minimum(edge, last)]
     ends[edge > last, 0] = ends[edge > last, 1]  # an edge without length
     values = points[ends].reshape(-1, 8, 6).transpose(0, 2, 1)
-    return first.astype(np.uint32), np.ascontiguousarray(values)
+    lengths = length((values[:, 3:] - values[:, :3]).transpose(0, 2, 1))[:, None]
+    inverse = 1 / np.where(lengths > 0, lengths, 1.0) ** 2
+    return first.astype(np.uint32), np.concatenate([values, lengths, inverse], axis=1)
 
 
 def _sums(tree: TriangleTree, values: np.ndarray) -> np.ndarray:

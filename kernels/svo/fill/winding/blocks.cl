@@ -24,48 +24,66 @@ void child_box(__global const float *nodes, const walk *w, double3 *low, double3
 }
 
 // The winding number of the caps about points d from a point: its value there, plus slope . d, plus
-// bend[0 .. 2] . d^2 and bend[3 .. 5] . (yz, xz, xy), within `rest` as long as |d| is at most `radius`.
+// bend[0 .. 2] . d^2 and bend[3 .. 5] . (yz, xz, xy), plus twist . (x^3, y^3, z^3, x^2 y, x^2 z, y^2 x,
+// y^2 z, z^2 x, z^2 y, xyz), within `rest` as long as |d| is at most `radius`.
 typedef struct {
-    double slope[3], bend[6], rest, radius;
+    double8 slope[3], bend[6], twist[10];
+    double rest, radius;
 } expansion;
 
 double squared(double3 v) { return v.x * v.x + v.y * v.y + v.z * v.z; }
 
-// Add the parts of eight boundary edges from a to b; `edges` holds the x, y, z of a, then those of b, and
-// p is the point. By the law of Biot and Savart, the gradient is the integral of dl x r / (4 pi r^3)
-// = b x a s / (4 pi). What it changes by with d, along d, is (b x a . d) (grad s . d). The terms of
-// order k are at most dl radius^k / (4 pi r^(k + 1)).
+// Add the parts of eight boundary edges from a to b; `edges` holds the x, y, z of a, those of b, their
+// lengths, and 1 over their squares, and p is the point. By the law of Biot and Savart, the gradient is the integral of dl x r / (4 pi r^3)
+// = b x a s / (4 pi). What it changes by with d, along d, is (b x a . d) (grad s . d + d . H d / 2), where
+// H has the second derivatives of s. The terms of order k are at most dl radius^k / (4 pi r^(k + 1)).
 void expand_edges(expansion *e, __global const double *edges, double3 p)
 {
     const double8 ax = vload8(0, edges) - p.x, ay = vload8(1, edges) - p.y, az = vload8(2, edges) - p.z;
     const double8 bx = vload8(3, edges) - p.x, by = vload8(4, edges) - p.y, bz = vload8(5, edges) - p.z;
     const double8 x = bx - ax, y = by - ay, z = bz - az;
-    const double8 ww = x * x + y * y + z * z, ab = ax * bx + ay * by + az * bz;
-    double8 t = -(ax * x + ay * y + az * z) / (ww > 0x1p-300 ? ww : 1.0);
+    const double8 ab = ax * bx + ay * by + az * bz;
+    double8 t = -(ax * x + ay * y + az * z) * vload8(7, edges);
     t = t > 0.0 ? t < 1.0 ? t : 1.0 : 0.0;
     const double8 fx = ax + t * x, fy = ay + t * y, fz = az + t * z;
-    const double8 distance = sqrt(fx * fx + fy * fy + fz * fz), ratio = e->radius / distance;
+    const double8 nearness = 1 / sqrt(fx * fx + fy * fy + fz * fz), ratio = e->radius * nearness;
     if (!all(ratio < 1 - SLACK)) {
         e->rest = INFINITY;
         return;
     }
-    const double8 length = sqrt(ww), spans = length < 2 * distance ? length / distance : 2.0;
-    e->rest += total(spans * ratio * ratio * ratio / (1 - ratio)) / (4 * PI);
+    const double8 length = vload8(6, edges) * nearness, spans = length < 2.0 ? length : 2.0, square = ratio * ratio;
+    e->rest += total(spans * square * square / (1 - ratio)) / (4 * PI);
     const double8 cx = az * by - ay * bz, cy = ax * bz - az * bx, cz = ay * bx - ax * by;
     const double8 u = sqrt(ax * ax + ay * ay + az * az), v = sqrt(bx * bx + by * by + bz * bz), uv = u * v;
     const double8 cc = cx * cx + cy * cy + cz * cz;
     const double8 sum = ab < 0.0 ? cc / (uv - ab) : uv + ab; // no cancellation
-    const double8 s = (u + v) / (uv * sum), both = uv + sum;
-    // the gradient of s, from those of u, v and uv sum: -a / u, -b / v and the rest
-    const double8 of_a = s * (v * both / u + uv) - 1 / u, of_b = s * (u * both / v + uv) - 1 / v;
-    const double8 by_product = 1 / (uv * sum);
-    const double8 gx = (of_a * ax + of_b * bx) * by_product, gy = (of_a * ay + of_b * by) * by_product,
-                  gz = (of_a * az + of_b * bz) * by_product;
-    e->slope[0] += total(s * cx), e->slope[1] += total(s * cy), e->slope[2] += total(s * cz);
-    e->bend[0] += 0.5 * total(cx * gx), e->bend[1] += 0.5 * total(cy * gy), e->bend[2] += 0.5 * total(cz * gz);
-    e->bend[3] += 0.5 * total(cy * gz + cz * gy);
-    e->bend[4] += 0.5 * total(cx * gz + cz * gx);
-    e->bend[5] += 0.5 * total(cx * gy + cy * gx);
+    const double8 by_u = 1 / u, by_v = 1 / v, by_product = 1 / (uv * sum);
+    const double8 s = (u + v) * by_product, both = uv + sum, in_u = v * by_u, in_v = u * by_v;
+    // the gradient of s, from those of u, v and p = uv sum: -a / u, -b / v and the rest
+    const double8 p_a = both * in_u + uv, p_b = both * in_v + uv; // that of p is -p_a a - p_b b
+    const double8 of_a = (s * p_a - by_u) * by_product, of_b = (s * p_b - by_v) * by_product;
+    const double8 gx = of_a * ax + of_b * bx, gy = of_a * ay + of_b * by, gz = of_a * az + of_b * bz;
+    // d . H d = dd d^2 + aa (a . d)^2 + 2 mixed (a . d) (b . d) + bb (b . d)^2, from p s = u + v: the
+    // second derivatives of u are (d^2 - (a . d)^2 / u^2) / u, and those of the products follow
+    const double8 dd = (by_u + by_v - s * (both * (in_u + in_v) + 2 * uv)) * by_product;
+    const double8 by_uu = by_u * by_u, by_vv = by_v * by_v;
+    const double8 aa = (2 * p_a * of_a - by_uu * by_u - s * in_u * (2 * in_u - both * by_uu + 2)) * by_product;
+    const double8 bb = (2 * p_b * of_b - by_vv * by_v - s * in_v * (2 * in_v - both * by_vv + 2)) * by_product;
+    const double8 mixed = (p_a * of_b + p_b * of_a - s * (2 + both * by_u * by_v + in_u + in_v)) * by_product;
+    const double8 xa = aa * ax + mixed * bx, ya = aa * ay + mixed * by, za = aa * az + mixed * bz;
+    const double8 xb = mixed * ax + bb * bx, yb = mixed * ay + bb * by, zb = mixed * az + bb * bz;
+    const double8 xx = dd + xa * ax + xb * bx, yy = dd + ya * ay + yb * by, zz = dd + za * az + zb * bz;
+    const double8 yz = 2 * (ya * az + yb * bz), xz = 2 * (xa * az + xb * bz), xy = 2 * (xa * ay + xb * by);
+    e->slope[0] += s * cx, e->slope[1] += s * cy, e->slope[2] += s * cz;
+    e->bend[0] += cx * gx, e->bend[1] += cy * gy, e->bend[2] += cz * gz;
+    e->bend[3] += cy * gz + cz * gy;
+    e->bend[4] += cx * gz + cz * gx;
+    e->bend[5] += cx * gy + cy * gx;
+    e->twist[0] += cx * xx, e->twist[1] += cy * yy, e->twist[2] += cz * zz;
+    e->twist[3] += cx * xy + cy * xx, e->twist[4] += cx * xz + cz * xx;
+    e->twist[5] += cy * xy + cx * yy, e->twist[6] += cy * yz + cz * yy;
+    e->twist[7] += cz * xz + cx * zz, e->twist[8] += cz * yz + cy * zz;
+    e->twist[9] += cx * yz + cy * xz + cz * xy;
 }
 
 // What triangles of this total area at a distance add to `rest`: each is a dipole.
@@ -128,7 +146,7 @@ bool may_meet(const triangle *t, centres c)
         __global const uint *first, __global const double *edges
 
 // Expand the winding number of the caps in each block about the voxel beyond its middle: EXPANSION
-// numbers, slope, bend and rest; the rest is infinite if it is `limit` or more. A hole counts by its
+// numbers, slope, bend, twist and rest; the rest is infinite if it is `limit` or more. A hole counts by its
 // edges, or adds to the rest by the area of its cap, if that is less.
 __kernel void expand_blocks(BLOCKS, HOLES, const double limit, __global double *expansions)
 {
@@ -138,7 +156,7 @@ __kernel void expand_blocks(BLOCKS, HOLES, const double limit, __global double *
     const centres box = centres_of(blocks[gid], level);
     const double3 low = to_local(box.low, frame), high = to_local(box.high, frame);
     const double3 middle = to_local(middle_of(box), frame);
-    expansion sum = {{0}, {0}, 0, sqrt(squared(middle - low))};
+    expansion sum = {{0}, {0}, {0}, 0, sqrt(squared(middle - low))};
     walk w;
     start(&w);
     while (sum.rest < limit && next_child(&w)) {
@@ -161,7 +179,7 @@ __kernel void expand_blocks(BLOCKS, HOLES, const double limit, __global double *
             const double by_area = sum.rest + rest_of_area(&sum, hole_areas[hole], gap);
             expansion one = sum;
             for (uint at = first[hole]; at < first[hole + 1] && one.rest < limit; ++at)
-                expand_edges(&one, edges + 48 * (size_t)at, middle);
+                expand_edges(&one, edges + 64 * (size_t)at, middle);
             if (one.rest < by_area)
                 sum = one;
             else
@@ -170,10 +188,12 @@ __kernel void expand_blocks(BLOCKS, HOLES, const double limit, __global double *
     }
     __global double *to = expansions + (size_t)gid * EXPANSION;
     for (uint i = 0; i < 3; ++i)
-        to[i] = sum.slope[i] / (4 * PI);
+        to[i] = total(sum.slope[i]) / (4 * PI);
     for (uint i = 0; i < 6; ++i)
-        to[3 + i] = sum.bend[i] / (4 * PI);
-    to[9] = sum.rest < limit ? sum.rest : INFINITY;
+        to[3 + i] = total(sum.bend[i]) / (8 * PI);
+    for (uint i = 0; i < 10; ++i)
+        to[9 + i] = total(sum.twist[i]) / (24 * PI);
+    to[EXPANSION - 1] = sum.rest < limit ? sum.rest : INFINITY;
 }
 
 // met[i] = 1 if a cap may pass between the voxels of block i.

@@ -129,13 +129,17 @@ __kernel void decide_by_expansions(__global const ulong *bricks, const uint n, c
         if (low.y + j >= shape.y || low.z + k >= shape.z)
             continue;
         const double y = d0.y + j * voxel, z = d0.z + k * voxel;
+        // the polynomial of x along the row
+        const double none = y * (e[1] + y * (e[4] + y * e[10] + z * e[15]) + z * e[6]) +
+                            z * (e[2] + z * (e[5] + z * e[11] + y * e[17]));
+        const double one = e[0] + y * (e[8] + y * e[14] + z * e[18]) + z * (e[7] + z * e[16]);
+        const double two = e[3] + y * e[12] + z * e[13];
         uint at = first_crossing(shape, crossings, count, x_bits, low.y + j, low.z + k);
         int number = 0;
         for (int i = 0; i < 4 && low.x + i < shape.x; ++i) {
             const double x = d0.x + i * voxel;
             number += number_until(shape, crossings, count, x_bits, low.x + i, low.y + j, low.z + k, &at);
-            const double change = x * (e[0] + e[3] * x + e[7] * z + e[8] * y) + y * (e[1] + e[4] * y + e[6] * z) +
-                                  z * (e[2] + e[5] * z);
+            const double change = none + x * (one + x * (two + x * e[9]));
             const double over = values[block] - change + (counted[block] ? number : 0) - 0.5;
             const uint place = voxel_place((uint3)(i, j, k));
             in |= (ulong)(over >= 0) << place;
