@@ -246,10 +246,11 @@ def _refine_open_rows(
     added = sum(int(lengths.sum()) for _, _, lengths in bars)
     refuse_beyond(tree, added, 0, max_memory)
 
-    new: list[list[np.ndarray]] = [[old] for old in lists]
-    for number, first, lengths in bars:
-        new[number - 1].append(_codes_of_bars(first, lengths).astype(lists[0].dtype))
-    merged = [np.sort(np.concatenate(codes)) for codes in new]
+    merged = []
+    for number, old in enumerate(lists, 1):
+        own = [bar[1:] for bar in bars if bar[0] == number]
+        codes = _codes_of_bars(*(np.concatenate(each) for each in zip(*own, strict=True)))
+        merged.append(np.sort(np.concatenate([old, codes.astype(old.dtype)])))
     return merged, np.searchsorted(merged[0], lists[0]).astype(np.uint32)
 
 
