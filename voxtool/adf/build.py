@@ -177,7 +177,7 @@ class FieldJob(Job["DistanceField"]):
             return ""
         wrong = []
         if _is_warned(self._survey, plan):
-            wrong.append(f"is {once(check_topology)(mesh, self.device).summary()}")
+            wrong.append(f"is {once(check_topology)(mesh, self._survey.device).summary()}")
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
         if plan.undecided:
