@@ -238,10 +238,10 @@ def _within(frame: Frame, region: Region, codes: np.ndarray) -> np.ndarray:
     """Return which level-1 nodes a region answers for, and lie in the window."""
     bits = np.uint64(3 * ((frame.window // CELL).bit_length() - 1))
     here = codes >> bits == morton_encode(frame.low[None] // frame.window)
-    cells = morton_decode(codes)
-    here &= (cells < -(-frame.high // CELL)).all(axis=1)
-    low, high = region.own_low // CELL, region.own_high // CELL
-    return here & ((cells >= low) & (cells < high)).all(axis=1)
+    low, high = region.own_low // CELL, np.minimum(region.own_high, frame.high + CELL - 1) // CELL
+    for cells, least, end in zip(morton_decode(codes).T, low, high, strict=True):
+        here &= (cells >= least) & (cells < end)
+    return here
 
 
 def _full_leaves(frame: Frame, pieces: Pieces, states: np.ndarray) -> list[np.ndarray]:
