@@ -2,15 +2,59 @@
 //
 // A work-item searches for the cells of BATCH points at a time. Each lane processes a run of RUN
 // points of those in small cells and advances as soon as its own search ends: a table has the cells
-// down to level `top`. Points are padded to whole
-// work-groups. Options, in addition to those of search.h:
+// down to level `top`. Outputs are padded to whole work-groups. Options, in addition to those of
+// search.h:
 //   GRADIENT, BOUNDS, CELL   these values are written, too
 //   HARDWARE                 distances are interpolated by the device's filter
 
 #include "adf/query.h"
 #include "adf/search.h"
 
-void read_point(__global const uint *point, uint *x, uint *y, uint *z)
+#define ITEM (BATCH * RUN) // points of a work-item
+#define PERIOD (3 * LANES) // numbers of points after which x is again in the first lane
+
+// LANES numbers of points, or others where fewer are left.
+doubles some_of(__global const double *points, const ulong left, const double *others)
+{
+    if (left >= LANES)
+        return load(points);
+    double numbers[LANES];
+    EACH_LANE(i)
+    numbers[i] = i < left ? points[i] : others[i];
+    return load(numbers);
+}
+
+// Rounds the points of a work-item, of which `left` numbers are left, down to `fixed`: in units of
+// 2^-32 sides, moved into the cube, 0 for NaN. Returns whether one is not in the cube.
+int round_points(__global const double *points, const ulong left, const double3 origin,
+                 const double side, uint *fixed)
+{
+    const double corner[3] = {origin.x, origin.y, origin.z};
+    double origins[PERIOD];
+    for (uint i = 0; i < PERIOD; ++i)
+        origins[i] = corner[i % 3];
+    longs inside = -1;
+    for (ulong start = 0; start < 3 * ITEM; start += PERIOD)
+        for (ulong i = 0; i < PERIOD; i += LANES) {
+            const ulong at = min(start + i, left);
+            const doubles p = some_of(points + at, left - at, origins + i);
+            const doubles u = (p - load(origins + i)) / side;
+            inside &= (u >= 0) & (u <= 1);
+            const doubles low = u >= 0 ? u : (doubles)0; // 0 for NaN
+            const doubles moved = low < 1 ? low : (doubles)(1 - 0x1p-32);
+            store(to_uints(moved * 0x1p32), fixed + start + i);
+        }
+    return ANY(inside == 0);
+}
+
+int is_outside(__global const double *point, const double3 origin, const double side)
+{
+    const double x = (point[0] - origin.x) / side, y = (point[1] - origin.y) / side;
+    const double z = (point[2] - origin.z) / side;
+    return !(x >= 0 && x <= 1 && y >= 0 && y <= 1 && z >= 0 && z <= 1);
+}
+
+void read_point(const uint *point, uint *x, uint *y, uint *z)
 {
     *x = point[0];
     *y = point[1];
@@ -20,7 +64,7 @@ void read_point(__global const uint *point, uint *x, uint *y, uint *z)
 // For `count` of the points, whose places are `wanted`: the deepest cells that have blocks, their
 // blocks and levels. All of their cells down to level `known` have blocks, which are set; no cell
 // below `deepest` has one.
-void find_deepest(const Hash *hash, __global const uint *points, const uint *wanted_points,
+void find_deepest(const Hash *hash, const uint *points, const uint *wanted_points,
                   const uint count, const int known, const int deepest, uint *blocks, int *levels)
 {
     // coherent: the first point of a run starts at the middle level
@@ -133,10 +177,11 @@ void read_corners(__global const float *voxels, const uint *block, const uint *f
     }
 }
 
-// The values of BATCH points in their leaves, given the levels of the leaves' parents: distances in
-// cube edges, and gradients with GRADIENT.
+// The values of BATCH points in their leaves, given the levels of the leaves' parents: distances,
+// where `unit` is a cube edge, and gradients with GRADIENT.
 void interpolate(const leaf_corners *leaves, const uint *x, const uint *y, const uint *z,
-                 const int *level, __global float *distances, float *dx, float *dy, float *dz)
+                 const int *level, const double unit, __global double *distances, float *dx,
+                 float *dy, float *dz)
 {
     EACH_VECTOR(i)
     {
@@ -147,7 +192,8 @@ void interpolate(const leaf_corners *leaves, const uint *x, const uint *y, const
         const floats c = load(leaves->v[2] + i), d = load(leaves->v[3] + i);
         const floats e = load(leaves->v[4] + i), f = load(leaves->v[5] + i);
         const floats g = load(leaves->v[6] + i), h = load(leaves->v[7] + i);
-        store(lerp(bilerp(a, b, c, d, tx, ty), bilerp(e, f, g, h, tx, ty), tz), distances + i);
+        const floats v = lerp(bilerp(a, b, c, d, tx, ty), bilerp(e, f, g, h, tx, ty), tz);
+        store(to_doubles(v) * unit, distances + i);
 #ifdef GRADIENT
         const floats per_side = to_floats((ints)2 << load(level + i));
         store(bilerp(b - a, d - c, f - e, h - g, ty, tz) * per_side, dx + i);
@@ -175,26 +221,31 @@ float filtered(__read_only image3d_t image, const uint2 across, const uint block
 }
 #endif
 
-// For each of the points, one in each cell of level `top`: the block of the deepest cell down to this
-// level that has one, and its level.
-__kernel void find_tops(__global const uint *points, TEXTURES, const int top, __global uint2 *tops)
+// For each cell of level `top`, by x, y, z: the block of the deepest cell down to this level that
+// has one, and its level.
+__kernel void find_tops(TEXTURES, const int top, __global uint2 *tops)
 {
     const Hash hash = {cells, offsets, inverses, m, r};
-    const size_t first = get_global_id(0) * (BATCH * RUN);
-    uint every[BATCH * RUN], blocks[BATCH * RUN];
-    int levels[BATCH * RUN];
-    for (uint i = 0; i < BATCH * RUN; ++i)
+    const uint first = get_global_id(0) * ITEM;
+    uint points[3 * ITEM], every[ITEM], blocks[ITEM];
+    int levels[ITEM];
+    for (uint i = 0; i < ITEM; ++i) {
         every[i] = i;
-    find_deepest(&hash, points + 3 * first, every, BATCH * RUN, min(full, top) - 1, top, blocks,
-                 levels);
-    for (uint i = 0; i < BATCH * RUN; ++i)
+        for (uint axis = 0; axis < 3; ++axis)
+            points[3 * i + axis] = (first + i) >> (top * axis) << (POINT_BITS - top);
+    }
+    find_deepest(&hash, points, every, ITEM, min(full, top) - 1, top, blocks, levels);
+    for (uint i = 0; i < ITEM; ++i)
         tops[first + i] = (uint2)(blocks[i], (uint)levels[i]);
 }
 
-// The values of the field at points: distances in cube edges; optionally gradients, codes of the
+// The values of the field at `count` points, whose numbers begin at points[start]: distances, where
+// `unit` is a cube edge; whether points are outside the cube; optionally gradients, codes of the
 // leaves' error bounds, and the leaves' levels and cells.
-__kernel void query(__global const uint *points, TEXTURES, const int top,
-                    __global const uint2 *tops, __global float *distances
+__kernel void query(__global const double *points, const uint start, const uint count,
+                    const double3 origin, const double side, const double unit, TEXTURES,
+                    const int top, __global const uint2 *tops, __global double *distances,
+                    __global uchar *outside
 #ifdef HARDWARE
                     , __read_only image3d_t image, const uint2 across
 #endif
@@ -210,26 +261,33 @@ __kernel void query(__global const uint *points, TEXTURES, const int top,
 )
 {
     const Hash hash = {cells, offsets, inverses, m, r};
-    const size_t first = get_global_id(0) * (BATCH * RUN);
-    uint blocks[BATCH * RUN], below[BATCH * RUN], count = 0; // points in cells below `top`
-    int levels[BATCH * RUN];
-    for (uint i = 0; i < BATCH * RUN; ++i) {
+    const size_t first = get_global_id(0) * ITEM;
+    if (first >= count)
+        return;
+    __global const double *own = points + start + 3 * first;
+    uint fixed[3 * ITEM], blocks[ITEM], below[ITEM], searched = 0; // points in cells below `top`
+    int levels[ITEM];
+    const int some_outside = round_points(own, 3 * (count - first), origin, side, fixed);
+    for (uint i = 0; i < ITEM; ++i)
+        outside[first + i] =
+            some_outside && first + i < count && is_outside(own + 3 * i, origin, side);
+    for (uint i = 0; i < ITEM; ++i) {
         uint x, y, z;
-        read_point(points + 3 * (first + i), &x, &y, &z);
+        read_point(fixed + 3 * i, &x, &y, &z);
         const uint2 found = tops[top_cell(x, y, z, top)];
         blocks[i] = found.x;
         levels[i] = (int)found.y;
-        below[count] = i;
-        count += levels[i] == top && top < deepest;
+        below[searched] = i;
+        searched += levels[i] == top && top < deepest;
     }
-    if (count > 0)
-        find_deepest(&hash, points + 3 * first, below, count, top, deepest, blocks, levels);
-    for (uint begin = 0; begin < BATCH * RUN; begin += BATCH) {
+    if (searched > 0)
+        find_deepest(&hash, fixed, below, searched, top, deepest, blocks, levels);
+    for (uint begin = 0; begin < ITEM; begin += BATCH) {
         const int *level = levels + begin;
         uint x[BATCH], y[BATCH], z[BATCH], octant[BATCH], corner[BATCH];
         const uint *block = blocks + begin;
         EACH_POINT(i)
-            read_point(points + 3 * (first + begin + i), x + i, y + i, z + i);
+            read_point(fixed + 3 * (begin + i), x + i, y + i, z + i);
         EACH_VECTOR(i)
         {
             const uints bx = octant_bits(load(x + i), load(level + i));
@@ -241,11 +299,11 @@ __kernel void query(__global const uint *points, TEXTURES, const int top,
         leaf_corners corners;
         read_corners(voxels, block, corner, &corners);
         float dx[BATCH], dy[BATCH], dz[BATCH];
-        interpolate(&corners, x, y, z, level, distances + first + begin, dx, dy, dz);
+        interpolate(&corners, x, y, z, level, unit, distances + first + begin, dx, dy, dz);
 #ifdef HARDWARE
         EACH_POINT(i)
-        distances[first + begin + i] = filtered(image, across, block[i], octant[i],
-                                                (uint3)(x[i], y[i], z[i]), level[i]);
+        distances[first + begin + i] = unit * filtered(image, across, block[i], octant[i],
+                                                       (uint3)(x[i], y[i], z[i]), level[i]);
 #endif
 #if defined(GRADIENT) || defined(BOUNDS) || defined(CELL)
         EACH_POINT(i)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import pickle
+import weakref
 from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from hypothesis import strategies as st
 from voxtool.adf.cells import key_of
 from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.host_query import CHUNK, POINT_BITS, QueryResult, to_fixed
-from voxtool.adf.query import BLOCK, HOST_POINTS, FieldQuery, query_adf
+from voxtool.adf.query import HOST_POINTS, FieldQuery, query_adf
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.adf.textures import GPU, GPU_COHERENT, levels_to_search
 from voxtool.choices import SEARCHES
@@ -225,12 +226,34 @@ def test_blocks(device, balls) -> None:
 
 
 def test_more_points_than_a_block_has(device, balls) -> None:
-    points = np.random.default_rng(5).random((2 * BLOCK + 17, 3)) * SIDE + np.array(ORIGIN)
-    query = on_device(balls, device)
+    block = 1 << 17
+    points = np.random.default_rng(5).random((2 * block + 17, 3)) * SIDE + np.array(ORIGIN)
+    query = on_device(balls, device, block=block)
     found = query(points)
     equal(query(points, search="coherent"), found)
-    for part in (slice(0, 999), slice(BLOCK - 500, BLOCK + 500), slice(2 * BLOCK - 500, None)):
+    equal(on_device(balls, device)(points), found)
+    for part in (slice(0, 999), slice(block - 500, block + 500), slice(2 * block - 500, None)):
         assert np.array_equal(found.distance[part], balls.query(points[part]).distance)
+
+
+@pytest.mark.parametrize("begin", [0, 1, 3, 8, 15, 16, 1001])
+def test_points_anywhere_in_memory(device, balls, begin: int) -> None:
+    """The device reads points of this number where they are, and lets them go."""
+    numbers = np.random.default_rng(6).uniform(-0.02, 1.02, begin + 3 * 5000)
+    points = numbers[begin:].reshape(-1, 3) * SIDE + np.array(ORIGIN)
+    owner = np.empty_like(numbers)
+    place = owner[begin:].reshape(-1, 3)
+    place[:] = points
+    check(balls, device, place)
+    assert np.array_equal(place, points)
+    place.flags.writeable = False
+    check(balls, device, place)
+    numbers = place.tobytes()
+    alive = weakref.ref(owner)
+    del owner, place
+    assert alive() is None
+    odd = np.frombuffer(b"_" + numbers, np.uint8)[1:].view(np.float64).reshape(-1, 3)
+    check(balls, device, odd)
 
 
 def test_without_bounds(device) -> None:
@@ -272,7 +295,7 @@ def test_at_infinity_gradients_are_limits(device, balls) -> None:
 
 
 @pytest.mark.parametrize("exponent", [-300, -20, 0, 20, 300])
-def test_points_are_rounded_down_to_the_lattice(exponent: int) -> None:
+def test_points_are_rounded_down_to_the_lattice(device, exponent: int) -> None:
     """Points are rounded in blocks, some of which have no point outside."""
     random = np.random.default_rng(7)
     side = math.ldexp(1.37, exponent)
@@ -289,6 +312,7 @@ def test_points_are_rounded_down_to_the_lattice(exponent: int) -> None:
     assert np.array_equal(fixed, np.floor(within).astype(np.uint32))
     assert np.array_equal(outside, ~((u >= 0) & (u <= 1)).all(axis=1))
     assert 0 < np.count_nonzero(outside) < 1000
+    check(field, device, points)
 
 
 @given(st.integers(1, (1 << 21) - 1), st.integers(1, (1 << 21) - 1))

@@ -7,8 +7,9 @@ cells all have blocks are skipped.
 With the sampler "hardware", the device's filter interpolates in a 3-D image of the blocks, and
 distances are as exact as it. All else is the same.
 
-Points are processed in blocks: while the device searches one, the host rounds the next to the
-lattice of 2**-32 sides. A few points are looked up on the host, which is faster than a launch.
+The device reads the points where they are, if it shares the memory, and rounds them to the lattice
+of 2**-32 sides. Many points are processed in blocks. A few points are looked up on the host, which
+is faster than a launch.
 
 Kernels: kernels/adf/query.cl.
 """
@@ -30,7 +31,6 @@ from voxtool.adf.host_query import (
     extend,
     no_bounds,
     query_on_host,
-    to_fixed,
 )
 from voxtool.adf.textures import (
     CPU,
@@ -44,15 +44,14 @@ from voxtool.adf.textures import (
     filtered_of,
     textures_of,
 )
-from voxtool.arrays import aligned_empty
 from voxtool.choices import EXACT, SAMPLERS, SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
 
 HOST_POINTS = 128  # up to this number the host is faster than a launch
-BLOCK = 1 << 18  # points that are on the device at once
+BLOCK = 1 << 22  # points that are on the device at once
 
-OUTPUTS: dict[str, dict[str, tuple[type, int]]] = {  # of the kernel, besides distances
+OUTPUTS: dict[str, dict[str, tuple[type, int]]] = {  # of the kernel, if requested
     "gradient": {"gradients": (np.float32, 3)},
     "bounds": {"codes": (np.uint8, 1)},
     "cell": {"leaf_levels": (np.uint8, 1), "leaves": (np.uint32, 3)},
@@ -108,7 +107,8 @@ class FieldQuery:
     Raises
     ------
     DeviceError
-        If there is no device, or it has no filter for the images that the sampler needs.
+        If there is no device, or it has no double precision, or no filter for the images that the
+        sampler needs.
     VoxtoolError
         If the sampler is unknown.
     MemoryLimitError
@@ -133,6 +133,7 @@ class FieldQuery:
     ) -> None:
         self.field = field
         self.device = device or default_device()
+        self.device.require_float64("distance fields")
         self.textures = textures_of(field, self.device)
         self.sampler, self.shape, self.block = sampler, shape, block
         if sampler not in SAMPLERS:
@@ -186,58 +187,38 @@ class FieldQuery:
 
     def on_device(self, points: np.ndarray, request: _Request) -> QueryResult:
         """Return the values at (N, 3) float64 points, computed on the device."""
-        n, side = len(points), self.field.side
-        result = QueryResult(
-            np.empty(n),
-            np.empty((n, 3), np.float32) if request.gradient else None,
-            np.empty(n) if request.bounds else None,
-            np.empty(n, np.uint8) if request.cell else None,
-            np.empty((n, 3), np.uint32) if request.cell else None,
-            np.zeros(n, bool),
-        )
-        world_bounds = bound_values() * side
         with self.device.stage("query"):
-            for block, fixed, found in self._blocks(points, result.outside, request):
-                part = result[block]
-                np.multiply(found["distances"], side, out=part.distance, dtype=np.float64)
-                if part.gradient is not None:
-                    part.gradient[:] = found["gradients"]
-                if part.bound is not None:
-                    np.take(world_bounds, found["codes"], out=part.bound, mode="clip")
-                if part.level is not None and part.cell is not None:
-                    part.level[:], part.cell[:] = found["leaf_levels"], found["leaves"]
-                if part.outside.any():
-                    self._extend(points[block], fixed, part)
-        return result
+            parts = list(self._blocks(points, request))
+        if len(parts) == 1:
+            return parts[0]
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        joined: list[Any] = [None if c[0] is None else np.concatenate(c) for c in columns]
+        return QueryResult(*joined)
 
-    def _blocks(
-        self, points: np.ndarray, outside: np.ndarray, request: _Request
-    ) -> Iterator[tuple[slice, np.ndarray, dict[str, np.ndarray]]]:
-        """Yield each block of points, rounded, and the kernel's outputs; fill `outside`.
+    def _blocks(self, points: np.ndarray, request: _Request) -> Iterator[QueryResult]:
+        """Yield the values of each block of points.
 
-        The device searches while the host rounds one block and reads the values of another.
+        The device searches one while the host completes the values of another.
         """
-        shape = self._shape(request.search)
-        most = shape.padded(min(self.block, len(points)))
-        memory = [aligned_empty((most, 3), np.uint32) for _ in range(2)]
-        running: tuple[slice, np.ndarray, _Running] | None = None
-        for start in range(0, len(points), self.block):
-            block = slice(start, min(start + self.block, len(points)))
-            n, fixed = block.stop - start, memory[start // self.block % 2]
-            to_fixed(self.field, points[block], fixed[:n], outside[block])
-            done = running and (*running[:2], running[2].finish())
-            running = block, fixed[:n], self._start(fixed, n, request)
+        running: tuple[np.ndarray, dict[str, Array]] | None = None
+        for start in range(0, max(len(points), 1), self.block):
+            block = points[start : start + self.block]
+            shared = self.device.view_from(block)
+            done = running and (running[0], _taken(running[1], len(running[0])))
+            running = block, self._start(shared, len(block), request, self.field.side)
+            del shared  # the wait for this block lets go of its points
             if done:
-                yield done
+                yield self._result(*done)
         if running:
-            yield *running[:2], running[2].finish()
+            yield self._result(running[0], _taken(running[1], len(running[0])))
 
-    def _start(self, fixed: np.ndarray, n: int, request: _Request) -> _Running:
-        """Start the search for the first n points; pad them."""
+    def _start(
+        self, points: tuple[Array, int], n: int, request: _Request, unit: float
+    ) -> dict[str, Array]:
+        """Start the search for n points, which begin at a place in an array, and return the
+        kernel's outputs; `unit` : the length of the cube's side in distances."""
         device, shape = self.device, self._shape(request.search)
-        padded = shape.padded(n)
-        fixed[n:padded] = 0
-        points, kinds = device.view(fixed[:padded]), request.outputs()
+        padded, kinds = shape.padded(n), request.outputs()
         outputs = {name: device.empty(wide * padded, kind) for name, (kind, wide) in kinds.items()}
         options = {**shape.options(), **self.textures.options, **request.options()}
         if self.filtered:
@@ -245,7 +226,12 @@ class FieldQuery:
         kernel = device.kernel(SOURCE, "query", **options)
         kernel(
             padded // (shape.batch * shape.run),
-            points=points,
+            points=points[0],
+            start=points[1],
+            count=n,
+            origin=self.field.origin,
+            side=self.field.side,
+            unit=unit,
             **self.textures.arguments,
             **self.filtered,
             bounds=bounds_of(self.field, device) if request.bounds else None,
@@ -253,16 +239,28 @@ class FieldQuery:
             local=shape.group,
         )
         device.queue.flush()  # otherwise a driver may wait for the host
-        return _Running(n, points, outputs)
+        return outputs
 
-    def _extend(self, points: np.ndarray, fixed: np.ndarray, result: QueryResult) -> None:
+    def _result(self, points: np.ndarray, found: dict[str, np.ndarray]) -> QueryResult:
+        """Return the values of points from the kernel's outputs."""
+        result = QueryResult(
+            found["distances"],
+            found.get("gradients"),
+            bound_values()[found["codes"]] * self.field.side if "codes" in found else None,
+            found.get("leaf_levels"),
+            found.get("leaves"),
+            found["outside"],
+        )
+        if result.outside.any():
+            self._extend(points, result)
+        return result
+
+    def _extend(self, points: np.ndarray, result: QueryResult) -> None:
         """Overwrite the values of the points of a block that are outside the cube."""
         which, has_bounds = np.flatnonzero(result.outside), self.field.bounds is not None
         request = _Request("binary", gradient=True, bounds=has_bounds, cell=not has_bounds)
         n = len(which)
-        memory = aligned_empty((self._shape("binary").padded(n), 3), np.uint32)
-        memory[:n] = fixed[which]
-        found = self._start(memory, n, request).finish()
+        found = _taken(self._start((self.device.put(points[which]), 0), n, request, 1.0), n)
         bound = (
             bound_values()[found["codes"]]
             if has_bounds
@@ -313,23 +311,15 @@ class _Request:
 
     def outputs(self) -> dict[str, tuple[type, int]]:
         """Return the kernel's output arguments: type, and numbers a point."""
-        outputs: dict[str, tuple[type, int]] = {"distances": (np.float32, 1)}
+        outputs = {"distances": (np.float64, 1), "outside": (np.bool_, 1)}
         for name, more in OUTPUTS.items():
             outputs |= more if getattr(self, name) else {}
         return outputs
 
 
-@dataclass(frozen=True)
-class _Running:
-    """A search for n points that has started; the points must stay in memory until it ends."""
-
-    n: int
-    points: Array
-    outputs: dict[str, Array]
-
-    def finish(self) -> dict[str, np.ndarray]:
-        """Wait for the device and return the outputs, (n,) or (n, 3)."""
-        found = {name: array.take() for name, array in self.outputs.items()}
-        for name in found.keys() & {"gradients", "leaves"}:
-            found[name] = found[name].reshape(-1, 3)
-        return {name: values[: self.n] for name, values in found.items()}
+def _taken(outputs: dict[str, Array], n: int) -> dict[str, np.ndarray]:
+    """Wait for the device and return the kernel's outputs for n points, (n,) or (n, 3)."""
+    found = {name: array.take() for name, array in outputs.items()}
+    for name in found.keys() & {"gradients", "leaves"}:
+        found[name] = found[name].reshape(-1, 3)
+    return {name: values[:n] for name, values in found.items()}

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from voxtool.adf.field import DistanceField
-from voxtool.adf.host_query import POINT_BITS
 from voxtool.adf.packing import arrangement, pack_blocks
 from voxtool.choices import SEARCHES
 from voxtool.errors import VoxtoolError
@@ -102,14 +101,10 @@ def _tops(
     each cell of this level, (8**top, 2) uint32 by x, y, z."""
     shape, n = CPU if device.lanes > 1 else GPU, 8**top
     padded = shape.padded(n)
-    points = np.zeros((padded, 3), np.uint32)
-    for axis in range(3):
-        cells = np.arange(n) >> top * axis & (1 << top) - 1
-        points[:n, axis] = cells << (POINT_BITS - top)
     tops = device.empty(2 * padded, np.uint32)
     find_tops = device.kernel(SOURCE, "find_tops", SEARCH="BINARY", **shape.options(), **options)
     size = padded // (shape.batch * shape.run)
-    find_tops(size, points=device.put(points), tops=tops, local=shape.group, **arguments)
+    find_tops(size, tops=tops, local=shape.group, **arguments)
     return tops
 
 

@@ -6,6 +6,7 @@ import contextlib
 import threading
 import weakref
 from collections import OrderedDict
+from ctypes import c_uint8
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -179,13 +180,19 @@ class Device:
     def view(self, values: np.ndarray) -> Array:
         """A host array for kernels to read: shared where it can be, or else a copy. It must not
         change until the device has read it."""
-        aligned = values.ctypes.data % ALIGNMENT == 0 and values.flags.c_contiguous
-        if not (self.shares_memory and aligned and values.nbytes >= SHARED_FROM):
-            return self.put(values)
+        return self.put(values) if values.ctypes.data % ALIGNMENT else self.view_from(values)[0]
+
+    def view_from(self, values: np.ndarray) -> tuple[Array, int]:
+        """Likewise, wherever the host array begins, and the place of its first element."""
+        alike = values.flags.c_contiguous and values.flags.aligned
+        if not (self.shares_memory and alike and values.nbytes >= SHARED_FROM):
+            return self.put(values), 0
+        before = values.ctypes.data % ALIGNMENT  # bytes in the same page, which nobody reads
+        pages = (c_uint8 * (before + values.nbytes)).from_address(values.ctypes.data - before)
+        memory = np.ctypeslib.as_array(pages)
         flags = self._cl.mem_flags.READ_ONLY | self._cl.mem_flags.USE_HOST_PTR
-        return Array(
-            self, values.dtype, values.size, self._buffer(flags, values.nbytes, values), values
-        )
+        buffer, start = self._buffer(flags, memory.size, memory), before // values.itemsize
+        return Array(self, values.dtype, start + values.size, buffer, values), start
 
     def write(self, array: Array, values: np.ndarray, start: int = 0) -> None:
         """Overwrite the elements of an array from `start` on."""
