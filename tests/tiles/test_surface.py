@@ -81,7 +81,7 @@ def test_windows_of_voxels_without_an_inside(device: Device, tmp_path: Path) -> 
 def test_windows_that_do_not_fit_are_halved(device: Device, tmp_path: Path) -> None:
     octree = octree_of(1)
     job = windows_of(octree, 64, device, style="voxel-faces", level="voxel")
-    job.max_memory = 1_000_000
+    job.max_memory = 800_000
     with Spool(tmp_path / "a") as job.store:
         found = job.run()
         assert found.digest() == extract(octree, style="voxel-faces", device=device).digest()
@@ -100,7 +100,7 @@ def test_an_empty_octree_has_no_surface(device: Device, tmp_path: Path) -> None:
 def test_extract_in_windows(here: Path) -> None:
     command = "extract bunny.svo.h5 --style voxel-faces --json"
     whole = told(f"{command} -o whole.ply")
-    limited = f"{command} --max-memory 2M"
+    limited = f"{command} --max-memory 1500K"
     assert told(f"{limited} -o parts.ply --plan")["windows"] > 8
     parts = told(f"{limited} -o parts.ply")
     assert Path("parts.ply").read_bytes() == Path("whole.ply").read_bytes()

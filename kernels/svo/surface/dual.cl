@@ -288,10 +288,32 @@ __kernel void unpack(__global const uint *codes, const uint n, CUBES, const int 
 
 #endif
 
+// Splits a quad into two triangles along its shorter diagonal, or along the other if a triangle
+// would have zero area. The corners lie in four cells around an edge, so they are never all
+// collinear.
+void split_quad(uint4 vertices, __global const int *points, uint index, __global uint *triangles)
+{
+    const quad q = quad_of(vertices, points);
+    const uint first = shorter_diagonal(&q);
+    store_split(&q, is_flat_split(&q, first) ? 1 - first : first, index, triangles);
+}
+
+__kernel void split_quads(__global const uint *quads, const uint n, __global const int *points,
+                          __global uint *triangles)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        split_quad(vload4(gid, quads), points, gid, triangles);
+}
+
 // The quad of each cut edge that starts in a tile: the four cells around it, counter-clockwise seen
-// from outside, the lowest first. Cells below the low sides of a window's root do not exist; their
-// quads, which are beyond the window's margin, have vertex 0 there.
+// from outside, the lowest first; with the option SPLIT its two triangles. Cells below the low sides
+// of a window's root do not exist; their quads, which are beyond the window's margin, have vertex 0
+// there.
 __kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
+#ifdef SPLIT
+                         __global const int *points,
+#endif
                          __global uint *quads)
 {
     const uint gid = get_global_id(0);
@@ -301,7 +323,7 @@ __kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
     ushort resolved[NEAR_CELLS];
     clear_beyond(codes[gid], vertices, resolved);
     number_around(THESE_TILES, THESE_CUBES, codes, gid, DOWN, WAYS, vertices, resolved);
-    __global uint *to = quads + 4 * (size_t)(first[n + gid] - first[n]);
+    uint to = first[n + gid] - first[n];
     for (ulong left = cut[gid]; left; left &= left - 1) {
         const uint cell = PLACE[lowest_bit(left)];
         const bool outward = resolved[cell] & 1; // whether the surface faces along the axis
@@ -310,26 +332,18 @@ __kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
                 continue;
             const uint b = step_along((axis + 1) % 3), c = step_along((axis + 2) % 3);
             const uint around[4] = {cell - b - c, cell - c, cell, cell - b};
+            uint v[4];
             for (uint place = 0; place < 4; ++place) {
                 const uint at = around[place], edge = EDGE_AROUND[4 * axis + place];
-                to[outward ? place : (4 - place) % 4] =
-                    vertices[at] + LOOP_OF[12 * resolved[at] + edge];
+                v[place] = vertices[at] + LOOP_OF[12 * resolved[at] + edge];
             }
-            to += 4;
+            const uint4 quad = outward ? (uint4)(v[0], v[1], v[2], v[3])
+                                       : (uint4)(v[0], v[3], v[2], v[1]);
+#ifdef SPLIT
+            split_quad(quad, points, to++, quads);
+#else
+            vstore4(quad, to++, quads);
+#endif
         }
     }
-}
-
-// Splits a quad into two triangles along its shorter diagonal, or along the other if a triangle
-// would have zero area. The corners lie in four cells around an edge, so they are never all
-// collinear.
-__kernel void split_quads(__global const uint *quads, const uint n, __global const int *points,
-                          __global uint *triangles)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const quad q = quad_at(quads, points, gid);
-    const uint first = shorter_diagonal(&q);
-    store_split(&q, is_flat_split(&q, first) ? 1 - first : first, gid, triangles);
 }

@@ -192,7 +192,7 @@ __kernel void split_along_features(__global const uint *quads, const uint n,
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const quad q = quad_at(quads, points, gid);
+    const quad q = quad_of(vload4(gid, quads), points);
     const double even = error_of_diagonal(errors, places, &q, 0),
                  odd = error_of_diagonal(errors, places, &q, 1);
     uint first = shorter_diagonal(&q);

@@ -6,13 +6,12 @@ typedef struct {
     long3 point[4];
 } quad;
 
-quad quad_at(__global const uint *quads, __global const int *points, uint index)
+quad quad_of(uint4 vertices, __global const int *points)
 {
     quad q;
-    for (uint i = 0; i < 4; ++i) {
-        q.vertex[i] = quads[4 * (size_t)index + i];
+    vstore4(vertices, 0, q.vertex);
+    for (uint i = 0; i < 4; ++i)
         q.point[i] = convert_long3(vload3(q.vertex[i], points));
-    }
     return q;
 }
 

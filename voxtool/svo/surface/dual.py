@@ -2,11 +2,12 @@
 
 Both are dual: each loop of a cut cube has a vertex, each cut edge a quad [Nielson 2004];
 case_tables.py says how loops are separated so that the surface is manifold. A work-item writes the
-vertices or quads of a tile, from a table of its cubes and those beside it. Voxel faces have their
-vertices in the middle of the cubes, the corners that eight samples share, so quads are the faces of
-samples. Vertices of surface nets [Gibson 1998] begin at the mean of the loop's crossings. If
-samples are voxels, which are only inside or not, they then move towards the mean of their
-neighbours and never leave their cube; coverages need no such relaxation.
+vertices or quads of a tile, from a table of its cubes and those beside it, and splits quads at once
+if nothing else needs them. Voxel faces have their vertices in the middle of the cubes, the corners
+that eight samples share, so quads are the faces of samples. Vertices of surface nets [Gibson 1998]
+begin at the mean of the loop's crossings. If samples are voxels, which are only inside or not, they
+then move towards the mean of their neighbours and never leave their cube; coverages need no such
+relaxation.
 
 Vertices of sharp surfaces lie where the planes of the source mesh meet (sharp.py).
 
@@ -95,6 +96,12 @@ def dual_surface(
             points = _relaxed(tiles, cubes, relaxations, lanes)
         else:
             points = _placed(tiles, cubes, style)
+    if features is None and not merge:
+        with device.stage("triangles"):
+            triangles = device.empty(6 * cubes.quads, np.uint32)
+            list_triangles = tiles.kernel(DUAL, "list_quads", SPLIT=1)
+            list_triangles(tiles.n, points, triangles, **cubes.arguments)
+        return Extracted(cubes.n, lost, points, triangles, cubes.arguments["first"], 4)
     with device.stage("quads"):
         quads = device.empty(4 * cubes.quads, np.uint32)
         tiles.kernel(DUAL, "list_quads")(tiles.n, quads, **cubes.arguments)

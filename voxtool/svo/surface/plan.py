@@ -16,8 +16,8 @@ from voxtool.svo.layout import BRICK_BYTES
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
 NAIVE_SAMPLES = 1024  # and if every cube is visited: 32 bits count their edges
 TILE_BYTES = 124  # on the device: of a tile,
-EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 280}  # a cut edge,
-MERGE_BYTES = 64  # and one of voxel faces that are merged
+EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 36, SURFACE_NETS: 96, SHARP: 280}  # a cut edge,
+MERGE_BYTES = 80  # and one of voxel faces that are merged
 SOURCE_BYTES = 60, 24  # of a sharp surface: of a vertex of the source, and of a face
 COLOURED_BYTES, COLOUR_BYTES = 100, 8  # on the host: of a brick with colours, of a cut edge
 SCAN = "scan"
@@ -70,7 +70,7 @@ class ExtractionPlan:
             "lost voxels": not self.voxels,
             "vertices": self.style != MARCHING_CUBES,
             "relax": self.relaxations > 0,
-            "quads": self.style != MARCHING_CUBES,
+            "quads": self.style == SHARP or self.merge,
             "merge": self.merge,
             "triangles": True,
             "read back": True,
