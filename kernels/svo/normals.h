@@ -60,12 +60,13 @@ ulong word_at(const ray_state *ray, const ulong *above, OCTREE, const int root, 
     return word;
 }
 
-// The shares of the children, of size 2^k, of a node and the 26 around it, by mirrored octant; rays
-// that meet the same node use them again.
+// The shares of the children, of size 2^k, of a node and the 26 around it, by mirrored octant, found
+// when they are needed; rays that meet the same node use them again.
 typedef struct {
-    int3 centre;   // in units of the node
-    uint held;     // the nodes that are not empty, as bits
-    float8 of[27]; // by x, then y, then z
+    int3 centre;      // in units of the node
+    uint known, held; // the nodes whose shares were found, and those that are not empty, as bits
+    float8 of[27];    // by x, then y, then z
+    ulong holders[8]; // the words of the nodes that hold them, by x, then y, then z
 } near_shares;
 
 // Swaps the bytes of octants.
@@ -95,34 +96,38 @@ float8 shares_of(OCTREE, const ulong word, const int k, const uint mirror)
     return convert_float8(convert_int8(bytes)) * 0.125f;
 }
 
-// Sets the shares around a node near the hit, from the words of the eight nodes that hold it and
-// those around it, unless it is the root.
-void find_shares(near_shares *near, const int3 centre, const ray_state *ray, const ulong *above,
-                 OCTREE, const int root, const int k)
+// Begins to find the shares around a node near the hit, unless it is the root: the words of the eight
+// nodes that hold it and those around it.
+void find_holders(near_shares *near, const int3 centre, const ray_state *ray, const ulong *above,
+                  OCTREE, const int root, const int k)
 {
     near->centre = centre;
-    near->held = 0;
+    near->known = near->held = 0;
     if (k + 1 == root) {
-        near->held = 1 << 13;
+        near->known = ~0u, near->held = 1 << 13;
         near->of[13] = shares_of(THIS_OCTREE, above[root], k, ray->mirror);
         return;
     }
-    const int3 first = centre - 1, holder = first >> 1;
-    ulong holders[8];
+    const int3 holder = (centre - 1) >> 1;
     for (int i = 0; i < 8; ++i)
-        holders[i] = word_at(ray, above, THIS_OCTREE, root, k + 2,
-                             holder + (int3)(i & 1, i >> 1 & 1, i >> 2));
-    for (int i = 0; i < 27; ++i) {
-        const int3 node = first + (int3)(i % 3, i / 3 % 3, i / 9), in = (node >> 1) - holder;
-        ulong word = holders[in.x | in.y << 1 | in.z << 2];
-        if (word && word != INSIDE)
-            word = child_of(THIS_OCTREE, word, k + 1, octant_at(node, 0) ^ ray->mirror);
-        else if (word && k + 1 == BRICK)
-            word = ALL;
-        if (word) {
-            near->of[i] = shares_of(THIS_OCTREE, word, k, ray->mirror);
-            near->held |= 1u << i;
-        }
+        near->holders[i] = word_at(ray, above, THIS_OCTREE, root, k + 2,
+                                   holder + (int3)(i & 1, i >> 1 & 1, i >> 2));
+}
+
+// Finds the shares of node i of those around the hit.
+void find_share(near_shares *near, const int i, const uint mirror, OCTREE, const int k)
+{
+    const int3 first = near->centre - 1, node = first + (int3)(i % 3, i / 3 % 3, i / 9);
+    const int3 in = (node >> 1) - (first >> 1);
+    ulong word = near->holders[in.x | in.y << 1 | in.z << 2];
+    if (word && word != INSIDE)
+        word = child_of(THIS_OCTREE, word, k + 1, octant_at(node, 0) ^ mirror);
+    else if (word && k + 1 == BRICK)
+        word = ALL;
+    near->known |= 1u << i;
+    if (word) {
+        near->of[i] = shares_of(THIS_OCTREE, word, k, mirror);
+        near->held |= 1u << i;
     }
 }
 
@@ -143,7 +148,8 @@ double sum_of(const double sum, const double4 v) { return sum + v.x + v.y + v.z 
 
 // The gradient of the coverage of cells at a position, in units of cells from the first of the
 // nodes: smooth, and nearly constant on planes.
-double3 coverage_gradient(const near_shares *near, const double3 place)
+double3 coverage_gradient(near_shares *near, const double3 place, const uint mirror, OCTREE,
+                          const int k)
 {
     const double3 before = floor(place - 0.5), f = place - 0.5 - before;
     const int3 first = convert_int3(before) - 1, low = first >> 1, odd = first & 1;
@@ -159,6 +165,8 @@ double3 coverage_gradient(const near_shares *near, const double3 place)
             const double4 ww = wy * wz, sw = sy * wz, ws = wy * sz;
             for (int x = 0; x < 4 + odd.x; x += 2) {
                 const int i = low.x + x / 2 + 3 * (low.y + y / 2) + 9 * (low.z + z / 2);
+                if (!(near->known >> i & 1))
+                    find_share(near, i, mirror, THIS_OCTREE, k);
                 if (!(near->held >> i & 1))
                     continue;
                 const double4 even = convert_double4(near->of[i].even);
@@ -191,9 +199,10 @@ double3 normal_at(const ray_state *ray, near_shares *near, const ulong *above, O
                               convert_double3(ray->low + (1 << ray->k)));
     const int3 centre = convert_int3(hit) >> (k + 1);
     if (any(centre != near->centre))
-        find_shares(near, centre, ray, above, THIS_OCTREE, root, k);
+        find_holders(near, centre, ray, above, THIS_OCTREE, root, k);
     const double3 place = (hit - ahead * ray->speed) * (1.0 / (1 << k));
-    double3 into = coverage_gradient(near, place - convert_double3(2 * (centre - 1)));
+    double3 into = coverage_gradient(near, place - convert_double3(2 * (centre - 1)), ray->mirror,
+                                     THIS_OCTREE, k);
     into = unmirrored(into, ray->mirror) / pitch;
     const double along = product(into, view);
     if (along < 0.0)
