@@ -82,9 +82,9 @@ def find_sides(
 
 
 def _shells(edges: np.ndarray, known: np.ndarray, single: np.ndarray) -> np.ndarray:
-    """Return the first of the known faces that edges connect to each of them, (n,) int64, past faces
-    that are `single` alone, (n,) bool; edges : (3F,), of all faces. At most two known faces share an
-    edge."""
+    """Return the first of the known faces that edges connect to each of them, (n,) int64, past
+    faces that are `single` alone, (n,) bool. edges : (3F,), of all faces; at most two known faces
+    share one."""
     sides = edges.reshape(-1, 3)[known[single]].ravel()
     number = np.repeat(np.flatnonzero(single), 3)
     one, other = (np.zeros(edges.max(initial=-1) + 1, np.int64) for _ in range(2))
