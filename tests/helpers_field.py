@@ -63,6 +63,7 @@ def plain_field(
         cells = (2 * cells[:, None] + OCTANTS).reshape(-1, 3)
     identifiers = np.concatenate(codes)
     levels, ijk = cell_of(identifiers)
+    keys = key_of(levels, ijk)
     kind = identifier_type(int(levels.max()))
     children = identifiers[:, None] << np.uint64(3) | morton_encode(OCTANTS)
     # not real bounds: any number serves
@@ -75,9 +76,10 @@ def plain_field(
     }  # fmt: skip
     return assemble(
         identifiers.astype(kind),
+        keys,
         np.concatenate(voxels).astype(np.float32).reshape(-1, 3, 3, 3),
         found.reshape(-1, 2, 2, 2) if bounds else None,
-        build_hash(key_of(levels, ijk)),
+        build_hash(keys),
         origin=origin,
         side=side,
         **{**standard, **head},

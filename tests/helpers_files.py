@@ -47,7 +47,8 @@ def with_w(field: DistanceField, w: int) -> DistanceField:
     arrays = ("voxels", "cells", "hash", "bounds")
     head = {f.name: getattr(field, f.name) for f in dataclasses.fields(field)}
     head = {name: value for name, value in head.items() if name not in arrays}
-    return assemble(identifiers, field.voxels, field.bounds, SpatialHash(m, r, offsets), **head)
+    hash = SpatialHash(m, r, offsets)
+    return assemble(identifiers, keys, field.voxels, field.bounds, hash, **head)
 
 
 def golden_field() -> DistanceField:

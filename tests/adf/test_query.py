@@ -183,7 +183,7 @@ def with_w(field: DistanceField, m: int = 101, *, w: bool = True) -> DistanceFie
         for name in ("origin", "side", "sign", "tolerance", "max_level", "band", "continuous",
                      "lipschitz")
     }  # fmt: skip
-    made = assemble(field.blocks, field.voxels, field.bounds, hash, **head)
+    made = assemble(field.blocks, keys, field.voxels, field.bounds, hash, **head)
     made.validate()
     return made
 

@@ -356,7 +356,8 @@ class _Build:
         )
         levels, ijk = cell_of(identifiers)
         with work.device.stage("hash"):
-            table = build_hash(key_of(levels, ijk), work.device)
+            keys = key_of(levels, ijk)
+            table = build_hash(keys, work.device)
         reached: dict[str, Any] = {
             "leaves": 7 * len(identifiers) + 1,
             "missed": self.missed,
@@ -371,6 +372,7 @@ class _Build:
             reached["balanced"] = not work.unbalanced.get()[0]
         return assemble(
             identifiers.astype(identifier_type(int(levels[-1]))),
+            keys,
             voxels,
             np.concatenate(self.codes).reshape(-1, 2, 2, 2) if plan.bounds else None,
             table,

@@ -350,15 +350,14 @@ class DistanceField(Data):
 
 
 def assemble(
-    identifiers: np.ndarray, voxels: np.ndarray, bounds: np.ndarray | None, hash: SpatialHash,
-    **head: Any,
+    identifiers: np.ndarray, keys: np.ndarray, voxels: np.ndarray, bounds: np.ndarray | None,
+    hash: SpatialHash, **head: Any,
 ) -> DistanceField:  # fmt: skip
     """Return the field of cells with the (n,) ascending identifiers, of the type of
-    identifier_type; the blocks and the hash are theirs, `head` has the other attributes."""
-    levels, ijk = cell_of(identifiers)
+    identifier_type; the keys, blocks and the hash are theirs, `head` has the other attributes."""
     wide = identifiers.dtype == np.uint64
     cells = np.zeros((hash.m**3, 3 if wide else 2), np.uint32)
-    slot = hash.slots(key_of(levels, ijk))
+    slot = hash.slots(keys)
     cells[slot, 0] = identifiers & identifiers.dtype.type(0xFFFFFFFF)
     if wide:
         cells[slot, 1] = identifiers >> np.uint64(32)

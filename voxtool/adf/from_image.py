@@ -306,7 +306,8 @@ class _Build:
         """Return the field that consists of the blocks."""
         cube, every = self.cube, np.concatenate(self.identifiers)
         levels, ijk = cell_of(every)
-        table = build_hash(key_of(levels, ijk), device)
+        keys = key_of(levels, ijk)
+        table = build_hash(keys, device)
         reached: dict[str, Any] = {
             "leaves": 7 * len(every) + 1, "missed": self.missed, "jumps": 0,
         }  # fmt: skip
@@ -315,7 +316,7 @@ class _Build:
             where = np.array(cube.origin) + cube.side * np.ldexp(cell + 0.5, -level)
             reached["worst"] = {"error": error, "level": level, "where": where.tolist()}
         return assemble(
-            every.astype(identifier_type(int(levels[-1]))), np.concatenate(self.voxels),
+            every.astype(identifier_type(int(levels[-1]))), keys, np.concatenate(self.voxels),
             np.concatenate(self.codes).reshape(-1, 2, 2, 2), table,
             origin=cube.origin, side=cube.side, sign=GIVEN if self.signed else "none",
             tolerance=float(self.tolerance), max_level=self.max_level, band=math.inf,

@@ -44,6 +44,7 @@ COEFFICIENTS = (
 )
 EIGHTH = 0.41421356237309503  # tan(pi/8)
 PI = 3.141592653589793
+AT_ONCE = 1 << 13  # faces whose normals are computed at once, in memory that fits caches
 
 HEADERS = {
     "spatial/arctangent.h": "\n".join(
@@ -78,9 +79,13 @@ def normal_bytes(faces: int) -> int:
 
 def pseudonormals(mesh: Mesh) -> Pseudonormals:
     """Return the pseudo-normals of a mesh; raises as Frame.of."""
-    triangles = np.ldexp(mesh.vertices, -Frame.of(mesh).exponent)[mesh.faces]
-    flat = collinear(triangles)
-    normals, angles = _normals_and_angles(triangles)
+    vertices, n = np.ldexp(mesh.vertices, -Frame.of(mesh).exponent), len(mesh.faces)
+    flat, normals, angles = np.empty(n, bool), np.empty((n, 3)), np.empty((n, 3))
+    for begin in range(0, n, AT_ONCE):
+        some = slice(begin, begin + AT_ONCE)
+        triangles = vertices[mesh.faces[some]]
+        flat[some] = collinear(triangles)
+        normals[some], angles[some] = _normals_and_angles(triangles)
     flat |= (normals == 0).all(axis=1)
     normals[flat] = 0
     corners = mesh.positions[mesh.faces]
