@@ -103,8 +103,9 @@ def plan_distance(
     """Return the job whose result, a SignedDistance, measures points; see voxtool.plan_distance."""
     if sign is not None and sign not in SIGNS:
         raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
-    plan = DistancePlan(len(mesh.faces), sign or default_sign(mesh), located)
-    return DistanceJob(mesh, plan, device or default_device(), max_memory)
+    device = device or default_device()
+    plan = DistancePlan(len(mesh.faces), sign or default_sign(mesh, device), located)
+    return DistanceJob(mesh, plan, device, max_memory)
 
 
 @dataclass(frozen=True)

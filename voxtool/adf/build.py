@@ -210,7 +210,9 @@ def _programs(survey: Survey, plan: FieldPlan) -> list[Request]:
 
 def _is_warned(survey: Survey, plan: FieldPlan) -> bool:
     """Return whether a warning says how the mesh's edges make signs uncertain."""
-    return not (plan.sign == "none" or plan.closed or default_sign(survey.mesh) == "pseudonormal")
+    if plan.sign == "none" or plan.closed:
+        return False
+    return default_sign(survey.mesh, survey.device) != "pseudonormal"
 
 
 class _Build:

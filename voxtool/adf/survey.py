@@ -12,6 +12,7 @@ import numpy as np
 from voxtool.adf.host_query import POINT_BITS
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import twins_of
+from voxtool.mesh.watertight import SOURCE as WATERTIGHT
 from voxtool.opencl import Device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT, SCAN
@@ -44,7 +45,7 @@ class Survey:
         self.crossed = np.zeros(len(mesh.faces), bool)
         self.flat, self.undecided, self.closed = 0, 0, False
         programs: list[Request] = [(TREE, {}), (RADIX_SORT, {"KEY": "ulong"}), (SCAN, {})]
-        device.prepare(*programs, *[(SELF_INTERSECTIONS, {})] * signed)
+        device.prepare(*programs, *[(SELF_INTERSECTIONS, {}), (WATERTIGHT, {})] * signed)
         if signed:
             normals = self._normals
             self.flat = int(np.count_nonzero(normals.flat))
@@ -55,7 +56,7 @@ class Survey:
                 found[np.bincount(twins)[twins] > 1] = 1
             self.crossed = found != 0
             self.undecided = int(np.count_nonzero(found == UNDECIDED))
-            self.closed = default_sign(mesh) == "pseudonormal" and not self.crossed.any()
+            self.closed = default_sign(mesh, device) == "pseudonormal" and not self.crossed.any()
             self.closed = self.closed and shells_agree(mesh, normals, device, self.tree)
         else:
             self.tree = build_tree(device, mesh, None, distinct_faces(mesh))

@@ -16,6 +16,7 @@ from voxtool.errors import count_of
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
+from voxtool.morton import among
 from voxtool.vector import cross, dot
 
 
@@ -221,15 +222,22 @@ def twins_of(mesh: Mesh) -> np.ndarray | None:
     code = np.zeros(len(points), np.uint64)
     for axis in range(3):
         code = _mixed(code ^ points[:, axis])
-    if _all_differ(code[mesh.faces]):
+    sums = code[mesh.faces].sum(axis=1)
+    ascending = np.sort(sums)
+    some = np.flatnonzero(among(ascending[1:][ascending[1:] == ascending[:-1]], sums))
+    if not len(some):
         return None
-    corners = np.sort(mesh.positions[mesh.faces], axis=1)
-    order = np.lexsort(corners.T)
-    new = np.ones(len(order), np.int64)
-    new[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
-    numbers = np.empty_like(new)
-    numbers[order] = np.cumsum(new) - 1
-    return None if new.all() else numbers
+    corners = mesh.vertices[mesh.faces[some]] + 0.0
+    corners = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
+    corners.sort(axis=1)
+    order = np.lexsort(corners.T)  # stable: of equal ones the first comes first
+    same = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
+    if not same.any():
+        return None
+    numbers = np.arange(len(mesh.faces))
+    first = np.flatnonzero(np.concatenate([[True], ~same]))
+    numbers[some[order]] = np.repeat(some[order[first]], np.diff(first, append=len(order)))
+    return numbers
 
 
 def _mixed(codes: np.ndarray) -> np.ndarray:
@@ -271,18 +279,19 @@ def net_faces(mesh: Mesh) -> np.ndarray | None:
     if twins is None:
         return None
     corners = mesh.positions[mesh.faces]
-    proper, way = ways_of(corners)
+    some = np.flatnonzero(np.bincount(twins)[twins] > 1)
+    twins, (proper, way) = twins[some], ways_of(corners[some])
     net = np.bincount(twins, way).astype(np.int64)
     net[twins[~proper]] = 1
     order = np.lexsort([way, twins])  # stable
     alike = 2 * twins[order] + (way[order] > 0)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order)) - np.searchsorted(alike, alike)
-    net = net[twins]
-    once = (rank < 1) & (net * way >= 0)
-    if len(boundary_of(corners[once])) > len(boundary_of(corners)):
-        once = (rank < np.maximum(np.abs(net), 1)) & (net * way >= 0)
-    return np.flatnonzero(once)
+    net, counted = net[twins], np.ones(len(corners), bool)
+    counted[some] = (rank < 1) & (net * way >= 0)
+    if len(boundary_of(corners[counted])) > len(boundary_of(corners)):
+        counted[some] = (rank < np.maximum(np.abs(net), 1)) & (net * way >= 0)
+    return np.flatnonzero(counted)
 
 
 def ways_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -16,7 +16,7 @@ from voxtool.choices import SIGNS
 from voxtool.errors import VoxtoolError
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.once import once
-from voxtool.mesh.topology import watertight
+from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import COMPACTION
@@ -69,10 +69,11 @@ class DistanceResult(NamedTuple):
 
 
 @once
-def default_sign(mesh: Mesh) -> str:
+def default_sign(mesh: Mesh, device: Device | None = None) -> str:
     """Return the sign that suits a mesh: "pseudonormal" if it is watertight and every face has an
     area, otherwise "winding"."""
-    smooth = watertight(mesh) and not collinear(mesh.vertices[mesh.faces]).any()
+    closed = once(watertight)(mesh, device or default_device())
+    smooth = closed and not collinear(mesh.vertices[mesh.faces]).any()
     return "pseudonormal" if smooth else "winding"
 
 
@@ -101,7 +102,7 @@ class SignedDistance:
             raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
         self.device = device or default_device()
         self.mesh = mesh
-        self.sign = sign or self.device.keep(mesh, "default sign", 0, lambda: default_sign(mesh))
+        self.sign = sign or default_sign(mesh, self.device)
         name, size = f"distance, sign {self.sign}", distance_bytes(len(mesh.faces), self.sign)
         self._distance, self._winding = self.device.keep(
             mesh, name, size, lambda: _measures(mesh, self.sign, self.device)
