@@ -227,9 +227,7 @@ def twins_of(mesh: Mesh) -> np.ndarray | None:
     some = np.flatnonzero(among(ascending[1:][ascending[1:] == ascending[:-1]], sums))
     if not len(some):
         return None
-    corners = mesh.vertices[mesh.faces[some]] + 0.0
-    corners = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
-    corners.sort(axis=1)
+    corners = np.sort(mesh.positions[mesh.faces[some]], axis=1)
     order = np.lexsort(corners.T)  # stable: of equal ones the first comes first
     same = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
     if not same.any():
@@ -289,7 +287,10 @@ def net_faces(mesh: Mesh) -> np.ndarray | None:
     rank[order] = np.arange(len(order)) - np.searchsorted(alike, alike)
     net, counted = net[twins], np.ones(len(corners), bool)
     counted[some] = (rank < 1) & (net * way >= 0)
-    if len(boundary_of(corners[counted])) > len(boundary_of(corners)):
+    dropped = np.zeros(len(mesh.positions), bool)
+    dropped[corners[~counted]] = True
+    near = dropped[corners].any(axis=1)  # the other edges have the same faces as before
+    if len(boundary_of(corners[near & counted])) > len(boundary_of(corners[near])):
         counted[some] = (rank < np.maximum(np.abs(net), 1)) & (net * way >= 0)
     return np.flatnonzero(counted)
 
