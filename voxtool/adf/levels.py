@@ -121,7 +121,8 @@ class Level:
             items.
         values, centres : float64, 27 and 8 a cell, the distances of its block and at the centres of
             its children, in the frame.
-        places : uint32, 27 a cell, the nearest triangles, as indices of `items`.
+        places, sided : uint32, 27 a cell, the nearest triangles, and where some have no area the
+            nearest that have one, as indices of `items`.
         states, doubts, asked : uint8, the side of the mesh of each cell; uint32, the vertices of
             its block whose signs are unknown, and those whose winding numbers are computed.
         neighbours : uint32, 27 a cell, see find_neighbours.
@@ -242,6 +243,8 @@ def sample(work: Construction, level: Level) -> None:
     """Compute the distances of a level's blocks, their signs, and the triangles of each child."""
     device, winding = work.device, "WINDING" in work.options
     level.allocate(values=(27, np.float64), places=(27, np.uint32))
+    if "FLAT" in work.options:
+        level.allocate(sided=(27, np.uint32))
     level.allocate(centres=(8, np.float64), needed=(8, np.uint32))
     level.arrays["masks"] = device.empty(level.arrays["items"].size, np.uint8)
     with device.stage("sample"):

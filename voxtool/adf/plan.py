@@ -33,6 +33,7 @@ LEAST_WINDOW = 1 << 10  # the same where memory is short
 PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
 GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
 CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (8 + 4 + 4 + 1 + 4)  # of a refined cell
+SIDED_BYTES = 27 * 4  # more where triangles without area are left out of signs
 LEFT_BYTES = 27 * (8 + 4) + 1 + 2 * 8  # what a cell leaves to its children, and theirs, about
 RANK_BYTES = 2 * 8 * 4  # the flags and ranks of its children
 ITEM_BYTES = 5  # a triangle in a list, and its mask
@@ -164,7 +165,7 @@ class FieldPlan:
         most, items = max(counts, default=0), max(self.items, self.triangles)
         window = most if self.max_bytes is not None else min(most, self.window)
         blocks = sum(counts)
-        device = CELL_BYTES * window + RANK_BYTES * sum(above)
+        device = (CELL_BYTES + SIDED_BYTES * (self.flat > 0)) * window + RANK_BYTES * sum(above)
         if self.stored:
             items = int(items * min(1.0, self.window / max(*self.refined, 1)))
             device += LEFT_BYTES * window + 2 * ITEM_BYTES * items + HASH_BYTES * blocks

@@ -104,7 +104,7 @@ float3 narrow_bounds(const narrow_triangles *n, bool all, const child_corners *c
     float16 across = 0.5f, flat = INFINITY;
     if (all) {
         across = (one & (features < A)) ? (float16)0.25f : (float16)0.5f;
-        flat = low > -n->doubt | high < n->doubt ? beyond : INFINITY;
+        flat = (low > -n->doubt | high < n->doubt) ? beyond : INFINITY;
     } else {
         least = lowest_narrow(least);
     }
@@ -135,10 +135,8 @@ float2 narrow_bound_apart(const child_list *list, const child_corners *c, const 
         const float3 some = narrow_bounds(&n, true, c, size, edge);
         found = (float3)(fmin(found.x, some.x), fmax(found.yz, some.yz));
     }
-#ifndef FLAT // otherwise a triangle without a side may be nearer to a corner
-    if (!all && known->count)
+    if (!all)
         found = narrow_bounds(&known->triangles, false, c, size, edge);
-#endif
     return (float2)(fmax(found.x, found.y) + 4 * found.z, found.z);
 }
 

@@ -97,7 +97,7 @@ double sample_error(const child_list *list, const child_cell *c, uint k)
     double8 outward = interpolated;
 #ifdef SIGNED
     if (!c->in_doubt && c->passed) {
-        const double8 number = numbers_beside(scene, found.which, &points);
+        const double8 number = numbers_beside(scene, found.SIDED, &points);
         outward = number == number ? 0.5 - number : interpolated;
     }
 #endif

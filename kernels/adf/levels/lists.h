@@ -114,15 +114,29 @@ triangle triangle_at(const scene_of_lists *scene, uint place)
 }
 
 // For eight points: the squared distance to the nearest triangle and its index in the lists; with
-// FLAT, triangles without a side do not count for the index.
+// FLAT, the same of the nearest triangle with a side.
 typedef struct {
-    double8 square, sided;
+    double8 square;
     long8 which;
+#ifdef FLAT
+    double8 square_sided;
+    long8 sided;
+#endif
 } nearest;
+
+#ifdef FLAT
+#define SIDED sided
+#else
+#define SIDED which
+#endif
 
 nearest nothing_found(void)
 {
-    const nearest found = {INFINITY, INFINITY, NO_TRIANGLE};
+#ifdef FLAT
+    const nearest found = {INFINITY, NO_TRIANGLE, INFINITY, NO_TRIANGLE};
+#else
+    const nearest found = {INFINITY, NO_TRIANGLE};
+#endif
     return found;
 }
 
@@ -130,15 +144,14 @@ nearest nothing_found(void)
 // distances.
 void look_at(const scene_of_lists *scene, uint place, double8 square, nearest *found)
 {
-#ifdef FLAT
-    found->square = square < found->square ? square : found->square;
-    const long8 nearer = square < (has_side(scene, scene->items[place]) ? found->sided : 0.0);
-    found->sided = nearer ? square : found->sided;
-#else
     const long8 nearer = square < found->square;
     found->square = nearer ? square : found->square;
-#endif
     found->which = nearer ? (long8)place : found->which;
+#ifdef FLAT
+    const long8 better = square < (has_side(scene, scene->items[place]) ? found->square_sided : 0.0);
+    found->square_sided = better ? square : found->square_sided;
+    found->sided = better ? (long8)place : found->sided;
+#endif
 }
 
 double8 squares_to(const triangle *t, const ways *points)

@@ -54,48 +54,38 @@ child_corners corners_of(uint3 cell, uint level, double extent)
     return c;
 }
 
-// The points of the mesh nearest to the corners of a child: away[k][i] = an upper bound of the
-// distance of corner k from point i.
+// The triangles nearest to the corners of a child, if it has many, twice; and the points of them that
+// are: away[k][i] = an upper bound of the distance of corner k from point i.
 typedef struct {
-    float away[8][16];
-    uint count;
+    bool many;
     narrow_triangles triangles;
+    float away[8][16];
 } rivals;
 
-// The rivals in a child of a block, from the triangles nearest to the block's vertices. Short lists have
-// none: there is little to gain.
+// The rivals in a child of a block; places: the triangles nearest to the block's vertices.
 rivals rivals_in(const child_list *list, const child_corners *c, __global const uint *places, float edge)
 {
     rivals known;
-    known.count = 0;
+    known.many = list->count > FEW; // there is little to gain otherwise
+    if (!known.many)
+        return known;
     uint slots[16];
     float at[3][16];
-    for (uint i = 0; i < 8 && list->count > FEW; ++i) {
-        const uint place = places[CORNERS[8 * list->child + i]];
-        if (place == NO_TRIANGLE)
-            continue;
-        slots[known.count] = list->scene.items[place];
+    for (uint i = 0; i < 16; ++i) {
+        slots[i] = list->scene.items[places[CORNERS[8 * list->child + i % 8]]];
         for (uint axis = 0; axis < 3; ++axis)
-            at[axis][known.count] = c->at[axis][i];
-        ++known.count;
+            at[axis][i] = c->at[axis][i % 8];
     }
-    if (known.count == 0)
-        return known;
-    for (uint i = known.count; i < 16; ++i) {
-        slots[i] = slots[0];
-        for (uint axis = 0; axis < 3; ++axis)
-            at[axis][i] = at[axis][0];
-    }
-    const narrow_triangles n = known.triangles = sixteen_narrow(&list->scene, slots, c->centre, edge);
+    known.triangles = sixteen_narrow(&list->scene, slots, c->centre, edge);
     const float16 x = vload16(0, at[0]), y = vload16(0, at[1]), z = vload16(0, at[2]);
     narrow_ways way;
     int16 feature;
-    known.triangles = n;
-    narrow_squares(&n, x, y, z, &way, &feature);
+    narrow_squares(&known.triangles, x, y, z, &way, &feature);
     for (uint k = 0; k < 8; ++k) {
         const float16 dx = c->at[0][k] - (x - way.x), dy = c->at[1][k] - (y - way.y);
         const float16 dz = c->at[2][k] - (z - way.z);
-        vstore16(sqrt(dx * dx + dy * dy + dz * dz) + 2 * n.doubt, 0, known.away[k]);
+        const float16 away = sqrt(dx * dx + dy * dy + dz * dz) + 2 * known.triangles.doubt;
+        vstore16(away, 0, known.away[k]);
     }
     return known;
 }
@@ -103,15 +93,14 @@ rivals rivals_in(const child_list *list, const child_corners *c, __global const 
 // Whether each of sixteen triangles, at these distances from the corners, may be nearest somewhere.
 //
 // For points t and r of the mesh, |p - t|^2 - |p - r|^2 is linear in p: positive in a cell if it is at
-// the corners. So a triangle is nowhere nearest in a cell whose corners are all farther from the triangle
-// than from r.
+// the corners. So a triangle is nowhere nearest in a cell if all corners are nearer to r.
 int16 may_be_nearest(const rivals *known, const float16 *distances, float16 doubt)
 {
     float16 least[8];
     for (uint k = 0; k < 8; ++k)
         least[k] = distances[k] - doubt;
     int16 may = -1;
-    for (uint i = 0; i < known->count; ++i) {
+    for (uint i = 0; i < 8; ++i) {
         float16 farther = INFINITY;
         for (uint k = 0; k < 8; ++k)
             farther = lesser(farther, least[k] - known->away[k][i]);
@@ -137,7 +126,7 @@ void keep(child_list *list, uint place, uint next, int16 needed)
 // Removes the triangles from the list that are nowhere nearest in the child.
 void prune(child_list *list, const child_corners *c, const rivals *known, float edge)
 {
-    if (known->count == 0)
+    if (!known->many)
         return;
     list->count = 0;
     for (uint j = from(list, list->begin), next; j < list->end; j = next) {

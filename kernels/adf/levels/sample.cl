@@ -184,9 +184,9 @@ uint sum_of(int16 counts)
 }
 
 // values[27 b + i] = distance at vertex i of block b, of cell identifiers[b]; places[27 b + i] =
-// index in the lists of the nearest triangle with a side; centres[8 b + k] = distance at the centre
-// of child k. Bit k of masks[j] is set if child k needs item j of the list. needed[8 b + k] = number
-// of triangles that child k needs.
+// index in the lists of the nearest triangle, and sided[27 b + i] of the nearest with a side;
+// centres[8 b + k] = distance at the centre of child k. Bit k of masks[j] is set if child k needs item
+// j of the list. needed[8 b + k] = number of triangles that child k needs.
 //
 // The distance to a triangle is convex, so its tangent bounds it from below. Inside a cell, the
 // trilinear interpolation of its corner values bounds it from above. So a triangle is nowhere
@@ -195,6 +195,9 @@ uint sum_of(int16 counts)
 // children.
 __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
                             __global double *centres, __global uint *places,
+#ifdef FLAT
+                            __global uint *sided,
+#endif
                             __global uchar *masks, __global uint *needed)
 {
     const uint gid = get_global_id(0);
@@ -265,10 +268,21 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
             values[27 * (size_t)gid + 8 * k + i] = distances[i];
             places[27 * (size_t)gid + 8 * k + i] = (uint)which[i];
         }
+#ifdef FLAT
+        vstore8(found[k].sided, 0, which);
+        for (uint i = 0; i < 8 && 8 * k + i < 27; ++i)
+            sided[27 * (size_t)gid + 8 * k + i] = (uint)which[i];
+#endif
     }
 }
 
 // ---- signs
+
+#ifdef FLAT
+#define PLACES_OF_SIDES sided
+#else
+#define PLACES_OF_SIDES places
+#endif
 
 #ifdef WINDING
 // An upper bound on the change of the winding number between a point and the middle of a face at
@@ -321,7 +335,7 @@ double longest_edge(const scene_of_lists *scene, uint begin, uint end)
 // i of asked[b] requests its winding number; where no triangles pass, only the block's centre is
 // requested at first.
 __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uint *sources,
-                          __global const uchar *parent_states, __global const uint *places,
+                          __global const uchar *parent_states, __global const uint *PLACES_OF_SIDES,
                           __global uchar *states,
 #ifdef WINDING
                           __global uint *doubts, __global uint *asked,
@@ -333,7 +347,7 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
         return;
     const scene_of_lists scene = {SCENE_VALUES};
     __global double *own = values + 27 * (size_t)gid;
-    __global const uint *nearest_of = places + 27 * (size_t)gid;
+    __global const uint *nearest_of = PLACES_OF_SIDES + 27 * (size_t)gid;
     const double radius = extent / (1ul << level) * 2 * HALF_DIAGONAL + SLACK;
     const bool apart = own[MIDDLE] > radius;
     uchar state = parent_states[sources[gid] / 8];
