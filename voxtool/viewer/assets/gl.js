@@ -140,10 +140,17 @@ class Target {
     else gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
+  /** Binds the buffers for reading. Chromium 156 leaves out a binding that it takes to be in place,
+   * though it has itself bound others since, as after a change of the canvas's size. */
+  bindToRead() {
+    this.gl.bindFramebuffer(this.gl.READ_FRAMEBUFFER, null);
+    this.gl.bindFramebuffer(this.gl.READ_FRAMEBUFFER, this.frame);
+  }
+
   /** Shows it on the canvas. */
   show() {
     const { gl, width, height } = this;
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.frame);
+    this.bindToRead();
     gl.readBuffer(gl.COLOR_ATTACHMENT0);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
     const { drawingBufferWidth: w, drawingBufferHeight: h } = gl;
@@ -155,7 +162,7 @@ class Target {
   colours() {
     const { gl, width, height } = this;
     const bytes = new Uint8Array(4 * width * height);
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.frame);
+    this.bindToRead();
     gl.readBuffer(gl.COLOR_ATTACHMENT0);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
     return bytes;
@@ -166,7 +173,7 @@ class Target {
   ids(x, y, width, height) {
     const gl = this.gl;
     const words = new Uint32Array(4 * width * height);
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.frame);
+    this.bindToRead();
     gl.readBuffer(gl.COLOR_ATTACHMENT1);
     gl.readPixels(x, y, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, words);
     return words;
