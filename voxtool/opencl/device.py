@@ -183,7 +183,8 @@ class Device:
         return self.put(values) if values.ctypes.data % ALIGNMENT else self.view_from(values)[0]
 
     def view_from(self, values: np.ndarray) -> tuple[Array, int]:
-        """Likewise, wherever the host array begins, and the place of its first element."""
+        """Return an array as view does, wherever the host array begins in memory, and the index
+        of its first element there."""
         alike = values.flags.c_contiguous and values.flags.aligned
         if not (self.shares_memory and alike and values.nbytes >= SHARED_FROM):
             return self.put(values), 0

@@ -70,9 +70,9 @@ float16 narrow_bend(float16 least, float16 across, float edge)
     return ahead > 0.0f && curved < bend ? curved : bend;
 }
 
-// Upper bounds of the same errors from the distances to sixteen triangles in single precision: above,
-// below, and the largest doubt of a distance. The bound below is that of these triangles if `all`,
-// otherwise of all; then the nearest to each corner is among the sixteen.
+// Upper bounds of the same errors, above and below, from the distances to sixteen triangles in single
+// precision, and the largest doubt of a distance. If `all`, no other triangle may be nearest in the cell;
+// otherwise the triangles nearest to its corners are among the sixteen, and the bound below is general.
 //
 // A triangle is no nearer than its plane. So on one side of it, the distance to the triangle grows by
 // no more than its largest excess over that to the plane at a corner: by 0 over the face.
@@ -112,7 +112,7 @@ float3 narrow_bounds(const narrow_triangles *n, bool all, const child_corners *c
     float above = lowest_narrow(excess), excesses[16];
     vstore16(excess, 0, excesses);
     uint lane = 0;
-    while (excesses[lane] != above)
+    while (lane < 15 && excesses[lane] != above)
         ++lane;
     excess = -INFINITY;
     for (uint i = 0; i < 8; ++i)

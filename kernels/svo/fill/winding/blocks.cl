@@ -34,9 +34,10 @@ typedef struct {
 double squared(double3 v) { return v.x * v.x + v.y * v.y + v.z * v.z; }
 
 // Add the parts of eight boundary edges from a to b; `edges` holds the x, y, z of a, those of b, their
-// lengths, and 1 over their squares, and p is the point. By the law of Biot and Savart, the gradient is the integral of dl x r / (4 pi r^3)
-// = b x a s / (4 pi). What it changes by with d, along d, is (b x a . d) (grad s . d + d . H d / 2), where
-// H has the second derivatives of s. The terms of order k are at most dl radius^k / (4 pi r^(k + 1)).
+// lengths, and 1 over their squares, and p is the point. By the law of Biot and Savart, the gradient is
+// the integral of dl x r / (4 pi r^3) = b x a s / (4 pi). What it changes by with d, along d, is
+// (b x a . d) (grad s . d + d . H d / 2), where H has the second derivatives of s. The terms of order k
+// are at most dl radius^k / (4 pi r^(k + 1)).
 void expand_edges(expansion *e, __global const double *edges, double3 p)
 {
     const double8 ax = vload8(0, edges) - p.x, ay = vload8(1, edges) - p.y, az = vload8(2, edges) - p.z;
