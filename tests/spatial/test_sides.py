@@ -1,0 +1,31 @@
+"""Winding numbers beside faces, against those of the parts of a mesh alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from voxtool.adf.survey import Survey
+from voxtool.mesh.mesh import mesh_from_arrays
+from voxtool.selftest import shapes
+from voxtool.spatial.sides import find_sides
+from voxtool.spatial.winding_number import WindingNumber
+
+
+def test_without_a_boundary_the_number_is_that_of_the_shell(device) -> None:
+    vertices, faces = shapes.ball(3)
+    vertices = np.asarray(vertices, float)
+    balls = [mesh_from_arrays(vertices + np.array([x, 0.0, 0.0]), faces) for x in (0.0, 1.0)]
+    mesh = mesh_from_arrays(*shapes.join(*((ball.vertices, ball.faces) for ball in balls)))
+    survey = Survey(mesh, device, True)
+    sides = find_sides(mesh, survey._normals, survey.winding, survey.tree, survey.crossed)
+    assert not len(sides.spheres)
+    known = np.isfinite(sides.front)
+    assert 0 < np.count_nonzero(~known) < len(known) / 4  # where the balls intersect
+    other = np.concatenate(
+        [
+            WindingNumber(balls[1 - i], device)(ball.vertices[ball.faces].mean(axis=1))
+            for i, ball in enumerate(balls)
+        ]
+    )
+    assert {0, 1} == set(np.round(other[known]).astype(int).tolist())
+    np.testing.assert_allclose(sides.front[known], np.round(other[known]), atol=2.0**-6)
