@@ -31,8 +31,8 @@ WALKERS = {"sample_blocks", "examine_children", "pass_lists_on"}  # kernels that
 NARROWING = "adf/levels/narrow.cl"
 NARROW = 16  # numbers of a triangle in single precision: a line of the cache
 KEPT = 32  # triangles of a cell that are combined in pairs, at most
-FEW = 16  # triangles of a cell, at most, whose list is not worth pruning
-WALKED = 64  # and whose list is walked to bound the error
+FEW = 16  # triangles of a child, at most, whose list is not worth pruning
+WALKED = 64  # triangles of a block, at most, that all count for the bounds of its children
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh

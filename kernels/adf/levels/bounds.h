@@ -70,74 +70,142 @@ float16 narrow_bend(float16 least, float16 across, float edge)
     return ahead > 0.0f && curved < bend ? curved : bend;
 }
 
-// Upper bounds of the same errors, above and below, from the distances to sixteen triangles in single
-// precision, and the largest doubt of a distance. If `all`, no other triangle may be nearest in the cell;
-// otherwise the triangles nearest to its corners are among the sixteen, and the bound below is general.
-//
-// A triangle is no nearer than its plane. So on one side of it, the distance to the triangle grows by
-// no more than its largest excess over that to the plane at a corner: by 0 over the face.
-float3 narrow_bounds(const narrow_triangles *n, bool all, const child_corners *c, const float *size,
-                     float edge)
+// The mean of sixteen triangles' distances and those to the one with the least excess over the sizes, at
+// eight corners, exceeds them by no more than this; nor do the distances to that one alone.
+float narrow_above(const float16 *excess_at[8])
 {
-    float16 d[8], excess = -INFINITY, shortfall = -INFINITY, least = INFINITY;
-    float16 low = INFINITY, high = -INFINITY, beyond = 0;
-    int16 one = -1, features;
-    const float16 *t = n->t, scale = sqrt(t[11]) * sqrt(t[12]);
-    const float16 nx = (t[4] * t[8] - t[5] * t[7]) * scale;
-    const float16 ny = (t[5] * t[6] - t[3] * t[8]) * scale;
-    const float16 nz = (t[3] * t[7] - t[4] * t[6]) * scale;
-    for (uint i = 0; i < 8; ++i) {
-        narrow_ways way;
-        int16 feature;
-        d[i] = sqrt(narrow_squares(n, c->at[0][i], c->at[1][i], c->at[2][i], &way, &feature));
-        features = i == 0 ? feature : features;
-        const float16 height = nx * (c->at[0][i] - t[0]) + ny * (c->at[1][i] - t[1]) +
-                               nz * (c->at[2][i] - t[2]);
-        low = lesser(low, height);
-        high = greater(high, height);
-        beyond = greater(beyond, d[i] - fabs(height));
-        least = lesser(least, d[i]);
-        excess = greater(excess, d[i] - size[i]);
-        shortfall = greater(shortfall, size[i] - (all ? d[i] : (float16)lowest_narrow(d[i])));
-        one &= feature == features;
-    }
-    float16 across = 0.5f, flat = INFINITY;
-    if (all) {
-        across = (one & (features < A)) ? (float16)0.25f : (float16)0.5f;
-        flat = (low > -n->doubt | high < n->doubt) ? beyond : INFINITY;
-    } else {
-        least = lowest_narrow(least);
-    }
-    shortfall += lesser(narrow_bend(least - n->doubt, across, edge), flat);
-    float above = lowest_narrow(excess), excesses[16];
+    float16 excess = *excess_at[0];
+    for (uint i = 1; i < 8; ++i)
+        excess = greater(excess, *excess_at[i]);
+    const float above = lowest_narrow(excess);
+    float excesses[16];
     vstore16(excess, 0, excesses);
     uint lane = 0;
     while (lane < 15 && excesses[lane] != above)
         ++lane;
-    excess = -INFINITY;
+    float16 means = -INFINITY;
     for (uint i = 0; i < 8; ++i)
-        excess = greater(excess, 0.5f * (((float *)&d[i])[lane] + d[i]) - size[i]);
-    above = fmin(above, lowest_narrow(excess));
-    return (float3)(above, highest_narrow(shortfall), highest_narrow(n->doubt));
+        means = greater(means, 0.5f * (((const float *)excess_at[i])[lane] + *excess_at[i]));
+    return fmin(above, lowest_narrow(means));
 }
 
-// An upper bound of what bound_apart returns, and the largest doubt: from the list, or if it is long
-// from the child's rivals.
-float2 narrow_bound_apart(const child_list *list, const child_corners *c, const rivals *known,
-                          const float *size, float edge)
+// Upper bounds of the same errors, above and below, in a child that has many triangles; and the largest
+// doubt of a distance: from its rivals, of which one is nearest to each corner. The bound below is general.
+float3 bounds_by_rivals(const rivals *known, const child_corners *c, const float *sizes, float edge)
 {
-    float3 found = (float3)(INFINITY, 0, 0);
-    const bool all = list->count <= WALKED;
-    for (uint j = from(list, list->begin); all && j < list->end;) {
-        uint slots[16];
-        j = next_sixteen(list, j, slots);
-        const narrow_triangles n = sixteen_narrow(&list->scene, slots, c->centre, edge);
-        const float3 some = narrow_bounds(&n, true, c, size, edge);
-        found = (float3)(fmin(found.x, some.x), fmax(found.yz, some.yz));
+    const narrow_triangles *n = &known->triangles;
+    float16 excess[8], least = INFINITY;
+    const float16 *excess_at[8];
+    float below = -INFINITY;
+    for (uint i = 0; i < 8; ++i) {
+        narrow_ways way;
+        int16 feature;
+        const float16 d =
+            sqrt(narrow_squares(n, c->at[0][i], c->at[1][i], c->at[2][i], &way, &feature));
+        least = lesser(least, d);
+        below = fmax(below, sizes[i] - lowest_narrow(d));
+        excess[i] = d - sizes[i];
+        excess_at[i] = &excess[i];
     }
-    if (!all)
-        found = narrow_bounds(&known->triangles, false, c, size, edge);
-    return (float2)(fmax(found.x, found.y) + 4 * found.z, found.z);
+    const float16 low = lowest_narrow(least) - n->doubt;
+    below += highest_narrow(narrow_bend(low, 0.5f, edge));
+    return (float3)(narrow_above(excess_at), below, highest_narrow(n->doubt));
+}
+
+// out[k] = the values at the corners of child k of a block, combined, from those at its 27 vertices.
+#define IN_CHILDREN(name, type, combine)                                                               \
+    void name(const type *at, type *out)                                                               \
+    {                                                                                                  \
+        type x[18], y[12];                                                                             \
+        for (uint i = 0; i < 18; ++i)                                                                  \
+            x[i] = combine(at[i / 2 * 3 + i % 2], at[i / 2 * 3 + i % 2 + 1]);                          \
+        for (uint i = 0; i < 12; ++i)                                                                  \
+            y[i] = combine(x[i / 4 * 6 + i % 4], x[i / 4 * 6 + i % 4 + 2]);                            \
+        for (uint i = 0; i < 8; ++i)                                                                   \
+            out[i] = combine(y[i], y[i + 4]);                                                          \
+    }
+
+int16 common(int16 a, int16 b)
+{
+    return a & b;
+}
+
+IN_CHILDREN(least_in_children, float16, lesser)
+IN_CHILDREN(greatest_in_children, float16, greater)
+IN_CHILDREN(common_in_children, int16, common)
+
+// A block's vertices, the magnitudes of the field there and, once `known`, upper bounds of what
+// bound_apart returns for its children, without the largest doubt of a distance.
+typedef struct {
+    bool known;
+    narrow_vertices at;
+    float sizes[27], of[8], doubt;
+} bounded_block;
+
+// Lowers the upper bounds of the errors above in the children of a block, and raises those below, by
+// sixteen triangles; bits: which children need each of them.
+//
+// A triangle is no nearer than its plane. So on one side of it, the distance to the triangle grows by
+// no more than its largest excess over that to the plane at a corner: by 0 over the face.
+void bound_children_by(const narrow_triangles *n, int16 bits, const bounded_block *block,
+                       float edge, float *above, float *below)
+{
+    float16 distance[27], excess[27], height[27], beyond[27];
+    int16 edges[27];
+    const float16 *t = n->t, scale = sqrt(t[11]) * sqrt(t[12]);
+    const float16 nx = (t[4] * t[8] - t[5] * t[7]) * scale;
+    const float16 ny = (t[5] * t[6] - t[3] * t[8]) * scale;
+    const float16 nz = (t[3] * t[7] - t[4] * t[6]) * scale;
+    for (uint i = 0; i < 27; ++i) {
+        const float x = block->at.x[i], y = block->at.y[i], z = block->at.z[i];
+        narrow_ways way;
+        int16 feature;
+        distance[i] = sqrt(narrow_squares(n, x, y, z, &way, &feature));
+        excess[i] = distance[i] - block->sizes[i];
+        height[i] = nx * (x - t[0]) + ny * (y - t[1]) + nz * (z - t[2]);
+        beyond[i] = distance[i] - fabs(height[i]);
+        edges[i] = feature < A ? (int16)1 << feature : 0;
+    }
+    float16 least[8], lowest_excess[8], low[8], high[8], farthest[8];
+    int16 edge_alone[8];
+    least_in_children(distance, least);
+    least_in_children(excess, lowest_excess);
+    least_in_children(height, low);
+    greatest_in_children(height, high);
+    greatest_in_children(beyond, farthest);
+    common_in_children(edges, edge_alone);
+    for (uint k = 0; k < 8; ++k) {
+        const float16 across = edge_alone[k] != 0 ? (float16)0.25f : (float16)0.5f;
+        const float16 flat =
+            (low[k] > -n->doubt | high[k] < n->doubt) ? farthest[k] : (float16)INFINITY;
+        const float16 bend = lesser(narrow_bend(least[k] - n->doubt, across, edge), flat);
+        const int16 needed = (bits >> (int)k & 1) != 0;
+        below[k] = fmax(below[k], highest_narrow(needed ? bend - lowest_excess[k] : -INFINITY));
+        const float16 *excess_at[8];
+        for (uint i = 0; i < 8; ++i)
+            excess_at[i] = &excess[CORNERS[8 * k + i]];
+        above[k] = fmin(above[k], narrow_above(excess_at));
+    }
+}
+
+// Sets the bounds of a block's children from its list; edge: of a child.
+void bound_children(const child_list *list, float edge, bounded_block *block)
+{
+    float above[8], below[8];
+    for (uint k = 0; k < 8; ++k)
+        above[k] = INFINITY, below[k] = 0;
+    block->doubt = 0;
+    for (uint j = list->begin; j < list->end; j += 16) {
+        const narrow_triangles n = sixteen_at(&list->scene, j, list->end, block->at.centre, 2 * edge);
+        int bits[16];
+        for (uint i = 0; i < 16; ++i)
+            bits[i] = j + i < list->end ? list->masks[j + i] : 0;
+        bound_children_by(&n, vload16(0, bits), block, edge, above, below);
+        block->doubt = fmax(block->doubt, highest_narrow(n.doubt));
+    }
+    for (uint k = 0; k < 8; ++k)
+        block->of[k] = fmax(above[k], below[k]);
+    block->known = true;
 }
 
 #ifdef CLOSED

@@ -166,15 +166,35 @@ bool samples_decide(const child_list *list, child_cell *c, double tolerance)
     return true;
 }
 
+// An upper bound of what bound_apart returns, and the largest doubt: from the block's list or, if that
+// is long, from the child's rivals.
+float2 narrow_bound(const child_list *list, const child_cell *c, bounded_block *block)
+{
+    const float edge = (float)c->edge;
+    if (list->end - list->begin > WALKED) {
+        float sizes[8];
+        vstore8(convert_float8(absolute(vload8(0, c->corners))), 0, sizes);
+        const float3 found = bounds_by_rivals(&c->known, &c->at, sizes, edge);
+        return (float2)(fmax(found.x, found.y) + 4 * found.z, found.z);
+    }
+    if (!block->known) {
+        ways points[POINTS / 8];
+        for (uint k = 0; k < POINTS / 8; ++k)
+            points[k] = lattice_points(c->cell / 2 * 2, VERTICES, k, c->level, c->extent);
+        block->at = narrow_vertices_of(points);
+        bound_children(list, edge, block);
+    }
+    return (float2)(block->of[list->child] + 4 * block->doubt, block->doubt);
+}
+
 // Computes the error bound of a child that no triangle passes. If it exceeds the tolerance, prunes the
 // list and samples the error, unless the child lies beyond the band and samples cannot lower the bound.
-void examine_apart(child_list *list, child_cell *c, double tolerance, uint thorough)
+void examine_apart(child_list *list, child_cell *c, bounded_block *block, double tolerance,
+                   uint thorough)
 {
     const double8 size = absolute(vload8(0, c->corners));
-    float sizes[8];
-    vstore8(convert_float8(size), 0, sizes);
     const float edge = (float)c->edge;
-    const float2 narrow = narrow_bound_apart(list, &c->at, &c->known, sizes, edge);
+    const float2 narrow = narrow_bound(list, c, block);
     c->bound = narrow.x > 16 * narrow.y ? narrow.x + c->rounding : INFINITY;
     if (c->bound > tolerance)
         prune(list, &c->at, &c->known, edge);
@@ -203,7 +223,8 @@ void examine_passed(const child_list *list, child_cell *c, double tolerance, uin
 
 // Whether a child is refined: its error exceeds the tolerance, or triangles pass a coarse child
 // whose bound does. Computes both as far as they are needed, and prunes the list.
-bool examined(child_list *list, child_cell *c, double tolerance, uint refine_coarse, uint thorough)
+bool examined(child_list *list, child_cell *c, bounded_block *block, double tolerance,
+              uint refine_coarse, uint thorough)
 {
     const double miss = fabs(fabs(interpolated_at(c, 0).s0) - c->middle);
     const bool misses = c->may_refine && !thorough && miss > tolerance; // at the centre
@@ -216,7 +237,7 @@ bool examined(child_list *list, child_cell *c, double tolerance, uint refine_coa
         examine_passed(list, c, tolerance, thorough);
     else
 #endif
-        examine_apart(list, c, tolerance, thorough);
+        examine_apart(list, c, block, tolerance, thorough);
     const bool coarse = c->passed && refine_coarse && c->bound > tolerance;
     return c->may_refine && (c->error > tolerance || coarse);
 }
@@ -245,6 +266,9 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
     c.extent = extent;
     c.edge = side / (2ul << level);
     c.radius = c.edge * HALF_DIAGONAL + SLACK;
+    bounded_block block = {false};
+    for (uint i = 0; i < 27; ++i)
+        block.sizes[i] = (float)fabs(voxels[27 * (size_t)gid + i] * side);
     float slope_of_leaves = 0;
     for (uint child = 0; child < 8; ++child) {
         const size_t place = 8 * (size_t)gid + child;
@@ -252,7 +276,7 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         list.count = needed[place];
         c.cell = 2 * cell_of(identifiers[gid], level) + octant(child);
         c.at = corners_of(c.cell, c.level, extent);
-        c.known = rivals_in(&list, &c.at, places + 27 * (size_t)gid, (float)c.edge);
+        find_rivals(&list, &c.at, places + 27 * (size_t)gid, (float)c.edge, &c.known);
         c.in_doubt = false;
         for (uint i = 0; i < 8; ++i) {
             c.corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
@@ -275,7 +299,7 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         jumped = jumps(field, c.edge, c.passed);
 #endif
         const bool refined = jumped ? c.may_refine && refine_coarse
-                                    : examined(&list, &c, tolerance, refine_coarse, thorough);
+                                    : examined(&list, &c, &block, tolerance, refine_coarse, thorough);
         needed[place] = list.count;
         flags[place] = refined;
         errors[place] = jumped ? -1 : c.beyond ? 0 : (float)(c.error / side);

@@ -70,6 +70,35 @@ narrow_triangles sixteen_narrow(const scene_of_lists *scene, const uint *slots, 
     return n;
 }
 
+// The block's triangles from an index of the lists on, sixteen at most; the last one pads them.
+narrow_triangles sixteen_at(const scene_of_lists *scene, uint place, uint end, float3 centre,
+                            float radius)
+{
+    uint slots[16];
+    for (uint i = 0; i < 16; ++i)
+        slots[i] = scene->items[min(place + i, end - 1)];
+    return sixteen_narrow(scene, slots, centre, radius);
+}
+
+// The vertices of a block, relative to its centre.
+typedef struct {
+    float3 centre;
+    float x[POINTS], y[POINTS], z[POINTS];
+} narrow_vertices;
+
+narrow_vertices narrow_vertices_of(const ways *points)
+{
+    narrow_vertices at;
+    const ways *middle = &points[MIDDLE / 8];
+    at.centre = (float3)((float)middle->x.s5, (float)middle->y.s5, (float)middle->z.s5);
+    for (uint k = 0; k < POINTS / 8; ++k) {
+        vstore8(convert_float8(points[k].x - at.centre.x), k, at.x);
+        vstore8(convert_float8(points[k].y - at.centre.y), k, at.y);
+        vstore8(convert_float8(points[k].z - at.centre.z), k, at.z);
+    }
+    return at;
+}
+
 float16 narrow_clamped(float16 t)
 {
     t = t > 0.0f ? t : 0.0f;

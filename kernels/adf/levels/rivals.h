@@ -62,13 +62,13 @@ typedef struct {
     float away[8][16];
 } rivals;
 
-// The rivals in a child of a block; places: the triangles nearest to the block's vertices.
-rivals rivals_in(const child_list *list, const child_corners *c, __global const uint *places, float edge)
+// Finds the rivals in a child of a block; places: the triangles nearest to the block's vertices.
+void find_rivals(const child_list *list, const child_corners *c, __global const uint *places,
+                 float edge, rivals *known)
 {
-    rivals known;
-    known.many = list->count > FEW; // there is little to gain otherwise
-    if (!known.many)
-        return known;
+    known->many = list->count > FEW || list->end - list->begin > WALKED;
+    if (!known->many)
+        return;
     uint slots[16];
     float at[3][16];
     for (uint i = 0; i < 16; ++i) {
@@ -76,18 +76,17 @@ rivals rivals_in(const child_list *list, const child_corners *c, __global const 
         for (uint axis = 0; axis < 3; ++axis)
             at[axis][i] = c->at[axis][i % 8];
     }
-    known.triangles = sixteen_narrow(&list->scene, slots, c->centre, edge);
+    known->triangles = sixteen_narrow(&list->scene, slots, c->centre, edge);
     const float16 x = vload16(0, at[0]), y = vload16(0, at[1]), z = vload16(0, at[2]);
     narrow_ways way;
     int16 feature;
-    narrow_squares(&known.triangles, x, y, z, &way, &feature);
+    narrow_squares(&known->triangles, x, y, z, &way, &feature);
     for (uint k = 0; k < 8; ++k) {
         const float16 dx = c->at[0][k] - (x - way.x), dy = c->at[1][k] - (y - way.y);
         const float16 dz = c->at[2][k] - (z - way.z);
-        const float16 away = sqrt(dx * dx + dy * dy + dz * dz) + 2 * known.triangles.doubt;
-        vstore16(away, 0, known.away[k]);
+        const float16 away = sqrt(dx * dx + dy * dy + dz * dz) + 2 * known->triangles.doubt;
+        vstore16(away, 0, known->away[k]);
     }
-    return known;
 }
 
 // Whether each of sixteen triangles, at these distances from the corners, may be nearest somewhere.

@@ -9,37 +9,39 @@
 
 #define SIXTEEN (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 
-// The vertices of a block, relative to its centre; upper bounds of the distances of its rivals, the
-// triangles nearest to the centres of the children, at the vertices, and which rival is which
-// child's; and upper bounds of the least distances at the vertices: with FLAT, to triangles with a
-// side.
+// The vertices of a block; upper bounds of the distances of its rivals, the triangles nearest to the
+// centres of the children, at the vertices, and which rival is which child's; and upper bounds of the
+// least distances at the vertices: with FLAT, to triangles with a side.
 typedef struct {
-    float x[POINTS], y[POINTS], z[POINTS], rivals[8][POINTS], least[POINTS];
+    narrow_vertices at;
+    float rivals[8][POINTS], least[POINTS];
     uint rival_of[8], count;
 } block_vertices;
 
-// The block's triangles from an index of the lists on, sixteen at most; the last one pads them.
-narrow_triangles sixteen_at(const scene_of_lists *scene, uint place, uint end, float3 centre,
-                            float edge)
-{
-    uint slots[16];
-    for (uint i = 0; i < 16; ++i)
-        slots[i] = scene->items[min(place + i, end - 1)];
-    return sixteen_narrow(scene, slots, centre, edge);
-}
+// Sixteen triangles of a list, with their distances and ways to the centres of the children.
+typedef struct {
+    narrow_triangles triangles;
+    float16 distances[8];
+    narrow_ways ways[8];
+} about_middles;
 
-float16 distances_to_middle(const narrow_triangles *n, uint child, float edge, narrow_ways *way)
+void see_middles(const scene_of_lists *scene, uint place, uint end, float3 centre, float edge,
+                 about_middles *seen)
 {
     const float quarter = 0.25f * edge;
-    int16 feature;
-    return sqrt(narrow_squares(n, child & 1 ? quarter : -quarter, child & 2 ? quarter : -quarter,
-                               child & 4 ? quarter : -quarter, way, &feature));
+    seen->triangles = sixteen_at(scene, place, end, centre, edge);
+    for (uint k = 0; k < 8; ++k) {
+        int16 feature;
+        seen->distances[k] =
+            sqrt(narrow_squares(&seen->triangles, k & 1 ? quarter : -quarter, k & 2 ? quarter : -quarter,
+                                k & 4 ? quarter : -quarter, &seen->ways[k], &feature));
+    }
 }
 
 // The triangles of a list that are nearest to the centres of the children, by distances in single
-// precision, and upper bounds of the least distances.
+// precision, and upper bounds of the least distances. Leaves the last sixteen triangles in `seen`.
 void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float3 centre, float edge,
-                        uint *nearest_of, float *least_of)
+                        about_middles *seen, uint *nearest_of, float *least_of)
 {
     float16 least[8];
     int16 places[8];
@@ -48,10 +50,9 @@ void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float
         places[i] = (int16)(int)begin;
     }
     for (uint j = begin; j < end; j += 16) {
-        const narrow_triangles n = sixteen_at(scene, j, end, centre, edge);
+        see_middles(scene, j, end, centre, edge, seen);
         for (uint i = 0; i < 8; ++i) {
-            narrow_ways way;
-            const float16 d = distances_to_middle(&n, i, edge, &way) + n.doubt;
+            const float16 d = seen->distances[i] + seen->triangles.doubt;
             const int16 nearer = d < least[i];
             least[i] = nearer ? d : least[i];
             places[i] = nearer ? (int)j + SIXTEEN : places[i];
@@ -82,8 +83,8 @@ float16 distances_to_vertices(const narrow_triangles *n, const block_vertices *b
 {
     narrow_ways way;
     int16 feature;
-    return sqrt(narrow_squares(n, vload16(half_of, block->x), vload16(half_of, block->y),
-                               vload16(half_of, block->z), &way, &feature));
+    return sqrt(narrow_squares(n, vload16(half_of, block->at.x), vload16(half_of, block->at.y),
+                               vload16(half_of, block->at.z), &way, &feature));
 }
 
 // Sets the rivals, each triangle once.
@@ -211,17 +212,13 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
     ways points[POINTS / 8];
     for (uint k = 0; k < POINTS / 8; ++k)
         points[k] = lattice_points(2 * cell, VERTICES, k, level + 1, extent);
-    const float3 centre = (float3)((float)points[MIDDLE / 8].x.s5, (float)points[MIDDLE / 8].y.s5,
-                                   (float)points[MIDDLE / 8].z.s5);
     block_vertices block;
-    for (uint k = 0; k < POINTS / 8; ++k) {
-        vstore8(convert_float8(points[k].x - centre.x), k, block.x);
-        vstore8(convert_float8(points[k].y - centre.y), k, block.y);
-        vstore8(convert_float8(points[k].z - centre.z), k, block.z);
-    }
+    block.at = narrow_vertices_of(points);
+    const float3 centre = block.at.centre;
     uint nearest_of[8];
     float least_of[8];
-    nearest_to_middles(&scene, begin, end, centre, edge, nearest_of, least_of);
+    about_middles seen;
+    nearest_to_middles(&scene, begin, end, centre, edge, &seen, nearest_of, least_of);
     set_rivals(&scene, nearest_of, centre, edge, &block);
     nearest found[POINTS / 8], central = nothing_found();
     int16 total[8];
@@ -230,15 +227,16 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
     for (uint k = 0; k < 8; ++k)
         total[k] = 0;
     for (uint j = begin; j < end; j += 16) {
-        const narrow_triangles sixteen = sixteen_at(&scene, j, end, centre, edge);
+        if (end - begin > 16) // otherwise they are seen
+            see_middles(&scene, j, end, centre, edge, &seen);
+        const float16 doubt = seen.triangles.doubt;
         int16 bits = 0, near = 0, middle = 0;
         const int16 exist = SIXTEEN < (int)(end - j);
         for (uint k = 0; k < 8; ++k) {
-            narrow_ways way;
-            const float16 d = distances_to_middle(&sixteen, k, edge, &way);
-            const tangents at = tangents_at(d, &way, sixteen.doubt, edge);
+            const float16 d = seen.distances[k];
+            const tangents at = tangents_at(d, &seen.ways[k], doubt, edge);
             const int16 needs = exist & needed_by(k, &at, &block, &near);
-            middle |= d - sixteen.doubt <= least_of[k];
+            middle |= d - doubt <= least_of[k];
             bits |= needs & 1 << k;
             total[k] += needs & 1;
         }
