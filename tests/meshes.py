@@ -136,6 +136,17 @@ def random_triangles(
     return vertices.reshape(-1, 3), np.arange(3 * n).reshape(n, 3)
 
 
+def hard_triangles(n: int) -> np.ndarray:
+    """Return triangles, (n, 3, 3), of any size and shape: many are slivers, needles or points."""
+    rng = np.random.default_rng(16)
+    a, e, f = rng.uniform(-1, 1, (3, n, 3)) * np.array([0.5, 0.25, 0.25])[:, None, None]
+    e *= np.exp2(-rng.integers(0, 48, (n, 1)))
+    f *= np.exp2(-rng.integers(0, 48, (n, 1)))
+    thin = rng.random((n, 1)) < 0.5
+    third = a + np.where(thin, rng.uniform(0, 1, (n, 1)) * e + f * np.exp2(-20), f)
+    return np.stack([a, a + e, third], axis=1)
+
+
 def _coordinate(low: int, high: int, step: int) -> st.SearchStrategy[int]:
     return st.integers(-(-low // step), high // step).map(lambda i: i * step)
 

@@ -357,6 +357,30 @@ def test_real_models(device: Device, name: str, sign: str) -> None:
     check_signs(mesh, field, device)
 
 
+@pytest.mark.parametrize("sign", ["winding", "none"])
+def test_many_triangles_of_any_size_and_shape(device: Device, sign: str) -> None:
+    """Their lists are long, so that they are searched in bundles; many have no area."""
+    triangles = meshes.hard_triangles(3000)
+    triangles[::3, 2] = triangles[::3, 1]
+    mesh = mesh_of(triangles)
+    field = build(mesh, device, tolerance=4e-3, max_level=3, sign=sign, continuous=False)
+    check_distances(mesh, field, device)
+
+
+def test_segments_about_a_sphere_have_no_say_in_its_sides(device: Device) -> None:
+    (vertices, faces), rng = meshes.icosphere(4), np.random.default_rng(16)
+    ends = rng.normal(size=(4000, 2, 3))
+    ends *= rng.uniform(0.7, 1.3, (4000, 2, 1)) / np.linalg.norm(ends, axis=-1, keepdims=True)
+    ends[:, 1] = ends[:, 0] + 0.05 * (ends[:, 1] - ends[:, 0])
+    parts = vertices[faces], ends[:, [0, 1, 1]]
+    mesh = mesh_of(np.concatenate(parts))
+    field = build(mesh, device, tolerance=4e-3, max_level=4, sign="pseudonormal", continuous=False)
+    points = check_distances(mesh, field, device)
+    from_middle = np.linalg.norm(points, axis=1)
+    clear = (from_middle < 0.99) | (from_middle > 1)
+    assert ((field.voxels.ravel() < 0) == (from_middle < 1))[clear].all()
+
+
 # ---- the tree
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import meshes
 import numpy as np
 import pytest
 
@@ -63,21 +64,10 @@ __kernel void both(const uint n, __global const double *leaves, __global const f
 """
 
 
-def hard_triangles(n: int) -> np.ndarray:
-    """Return triangles, (n, 3, 3), of any size and shape: many are slivers, needles or points."""
-    rng = np.random.default_rng(16)
-    a, e, f = rng.uniform(-1, 1, (3, n, 3)) * np.array([0.5, 0.25, 0.25])[:, None, None]
-    e *= np.exp2(-rng.integers(0, 48, (n, 1)))
-    f *= np.exp2(-rng.integers(0, 48, (n, 1)))
-    thin = rng.random((n, 1)) < 0.5
-    third = a + np.where(thin, rng.uniform(0, 1, (n, 1)) * e + f * np.exp2(-20), f)
-    return np.stack([a, a + e, third], axis=1)
-
-
 @pytest.mark.parametrize("depth", [0, 8, 18])
 def test_single_precision_is_as_near_as_it_says(device: Device, depth: int) -> None:
     n = 4000
-    triangles = hard_triangles(n)
+    triangles = meshes.hard_triangles(n)
     tree = build_tree(
         device, Mesh(triangles.reshape(-1, 3), np.arange(3 * n, dtype=np.int32).reshape(-1, 3))
     )

@@ -31,8 +31,9 @@ WALKERS = {"sample_blocks", "examine_children", "pass_lists_on"}  # kernels that
 NARROWING = "adf/levels/narrow.cl"
 NARROW = 16  # numbers of a triangle in single precision: a line of the cache
 KEPT = 32  # triangles of a cell that are combined in pairs, at most
+BUNDLE = 16  # triangles, the lanes of a vector of float32
 FEW = 16  # triangles of a child, at most, whose list is not worth pruning
-WALKED = 64  # triangles of a block, at most, that all count for the bounds of its children
+LONG = 128  # triangles of a block, from which on they are in bundles, and a few bound the errors
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
@@ -78,7 +79,7 @@ def _corners() -> np.ndarray:
 HEADERS = {
     "adf/levels/level.h": program.c_constants(
         FEW=FEW,
-        WALKED=WALKED,
+        LONG=LONG,
         JUMP=JUMP,
         KEPT=KEPT,
         NARROW=NARROW,
@@ -248,12 +249,19 @@ def sample(work: Construction, level: Level) -> None:
     level.allocate(centres=(8, np.float64), needed=(8, np.uint32))
     level.arrays["masks"] = device.empty(level.arrays["items"].size, np.uint8)
     with device.stage("sample"):
-        work.run("sample", "sample_blocks", level)
+        work.run("sample", "sample_blocks", level, **_balls(level))
         if "SIGNED" in work.options:
             level.allocate(states=(1, np.uint8), doubts=(1, np.uint32), asked=(1, np.uint32))
             work.run("sample", "sign_blocks", level)
         for _ in ("middles of blocks", "vertices") if winding else ():
             settle_signs(work, level)
+
+
+def _balls(level: Level) -> dict[str, Any]:
+    """Return the kernel's arguments for the balls about bundles, see bundles.h."""
+    items = level.arrays["items"]
+    row = items.size // BUNDLE + level.count + BUNDLE  # bundles are loaded BUNDLE at a time
+    return {"balls": items.device.empty(4 * row, np.float32), "row": row}
 
 
 def settle_signs(work: Construction, level: Level) -> None:

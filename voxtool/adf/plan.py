@@ -32,11 +32,12 @@ WINDOW = 1 << 16  # cells that are sampled and examined at once
 LEAST_WINDOW = 1 << 10  # the same where memory is short
 PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
 GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
-CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (8 + 4 + 4 + 1 + 4)  # of a refined cell
+CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 16 + 8 * (8 + 4 + 4 + 1 + 4)  # of a refined cell
 SIDED_BYTES = 27 * 4  # more where triangles without area are left out of signs
 LEFT_BYTES = 27 * (8 + 4) + 1 + 2 * 8  # what a cell leaves to its children, and theirs, about
 RANK_BYTES = 2 * 8 * 4  # the flags and ranks of its children
 ITEM_BYTES = 5  # a triangle in a list, and its mask
+BALL_BYTES = 1  # of a triangle in a list while it is sampled, beside CELL_BYTES
 
 
 @dataclass(frozen=True)
@@ -164,14 +165,14 @@ class FieldPlan:
         above = list(counts[:-1] if last else counts)[-2:]
         most, items = max(counts, default=0), max(self.items, self.triangles)
         window = most if self.max_bytes is not None else min(most, self.window)
-        blocks = sum(counts)
+        blocks, lists = sum(counts), 2 * ITEM_BYTES + BALL_BYTES
         device = (CELL_BYTES + SIDED_BYTES * (self.flat > 0)) * window + RANK_BYTES * sum(above)
         if self.stored:
             items = int(items * min(1.0, self.window / max(*self.refined, 1)))
-            device += LEFT_BYTES * window + 2 * ITEM_BYTES * items + HASH_BYTES * blocks
+            device += LEFT_BYTES * window + lists * items + HASH_BYTES * blocks
             host = (BLOCK_BYTES - VOXEL_BYTES) * blocks
             return Cost(device, host, max(8 * 27 * window, 4 * items))
-        device += LEFT_BYTES * sum(above) + 2 * ITEM_BYTES * items + 2 * BLOCK_BYTES * blocks
+        device += LEFT_BYTES * sum(above) + lists * items + 2 * BLOCK_BYTES * blocks
         return Cost(device, BLOCK_BYTES * blocks, max(8 * 27 * window, 4 * items))
 
     @property

@@ -171,7 +171,7 @@ bool samples_decide(const child_list *list, child_cell *c, double tolerance)
 float2 narrow_bound(const child_list *list, const child_cell *c, bounded_block *block)
 {
     const float edge = (float)c->edge;
-    if (list->end - list->begin > WALKED) {
+    if (list->end - list->begin >= LONG) {
         float sizes[8];
         vstore8(convert_float8(absolute(vload8(0, c->corners))), 0, sizes);
         const float3 found = bounds_by_rivals(&c->known, &c->at, sizes, edge);
@@ -252,6 +252,9 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #endif
                                __global const float *voxels, __global const double *centres,
                                __global const double *bounds, __global const uint *places,
+#ifdef FLAT
+                               __global const uint *sided,
+#endif
                                __global uchar *masks, __global uint *needed,
                                __global uint *flags, __global float *errors,
                                __global uchar *codes, __global uint *steepest)
@@ -276,7 +279,8 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         list.count = needed[place];
         c.cell = 2 * cell_of(identifiers[gid], level) + octant(child);
         c.at = corners_of(c.cell, c.level, extent);
-        find_rivals(&list, &c.at, places + 27 * (size_t)gid, (float)c.edge, &c.known);
+        find_rivals(&list, &c.at, places + 27 * (size_t)gid, PLACES_OF_SIDES + 27 * (size_t)gid,
+                    (float)c.edge, &c.known);
         c.in_doubt = false;
         for (uint i = 0; i < 8; ++i) {
             c.corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;

@@ -4,7 +4,8 @@
 // away from the surface. FLAT: some triangles have zero area.
 //
 // Lengths are in the mesh's frame (voxtool/spatial/bvh.py), in which the cube is [-extent,
-// extent]^3. The list of a cell includes the nearest triangles of each of its points.
+// extent]^3. The list of a cell includes the nearest triangle of each of its points, and the nearest one
+// with a side.
 
 #include "adf/levels/level.h"
 #include "adf/levels/sample_points.h"
@@ -126,8 +127,10 @@ typedef struct {
 
 #ifdef FLAT
 #define SIDED sided
+#define PLACES_OF_SIDES sided
 #else
 #define SIDED which
+#define PLACES_OF_SIDES places
 #endif
 
 nearest nothing_found(void)

@@ -54,25 +54,29 @@ child_corners corners_of(uint3 cell, uint level, double extent)
     return c;
 }
 
-// The triangles nearest to the corners of a child, if it has many, twice; and the points of them that
-// are: away[k][i] = an upper bound of the distance of corner k from point i.
+// The triangles nearest to the corners of a child, if it has many: first those of the triangles with a
+// side, then those of all; and the points of them that are nearest: away[k][i] = an upper bound of the
+// distance of corner k from point i, infinite if there is none.
 typedef struct {
     bool many;
     narrow_triangles triangles;
     float away[8][16];
 } rivals;
 
-// Finds the rivals in a child of a block; places: the triangles nearest to the block's vertices.
+// Finds the rivals in a child of a block; places and sided: the triangles nearest to the block's
+// vertices, of all and of those with a side.
 void find_rivals(const child_list *list, const child_corners *c, __global const uint *places,
-                 float edge, rivals *known)
+                 __global const uint *sided, float edge, rivals *known)
 {
-    known->many = list->count > FEW || list->end - list->begin > WALKED;
+    known->many = list->count > FEW || list->end - list->begin >= LONG;
     if (!known->many)
         return;
     uint slots[16];
-    float at[3][16];
+    float at[3][16], none[16];
     for (uint i = 0; i < 16; ++i) {
-        slots[i] = list->scene.items[places[CORNERS[8 * list->child + i % 8]]];
+        const uint vertex = CORNERS[8 * list->child + i % 8];
+        none[i] = i < 8 && sided[vertex] == NO_TRIANGLE ? INFINITY : 0.0f;
+        slots[i] = list->scene.items[i < 8 && none[i] == 0 ? sided[vertex] : places[vertex]];
         for (uint axis = 0; axis < 3; ++axis)
             at[axis][i] = c->at[axis][i % 8];
     }
@@ -84,7 +88,8 @@ void find_rivals(const child_list *list, const child_corners *c, __global const 
     for (uint k = 0; k < 8; ++k) {
         const float16 dx = c->at[0][k] - (x - way.x), dy = c->at[1][k] - (y - way.y);
         const float16 dz = c->at[2][k] - (z - way.z);
-        const float16 away = sqrt(dx * dx + dy * dy + dz * dz) + 2 * known->triangles.doubt;
+        const float16 away = sqrt(dx * dx + dy * dy + dz * dz) + 2 * known->triangles.doubt +
+                             vload16(0, none);
         vstore16(away, 0, known->away[k]);
     }
 }
@@ -92,7 +97,8 @@ void find_rivals(const child_list *list, const child_corners *c, __global const 
 // Whether each of sixteen triangles, at these distances from the corners, may be nearest somewhere.
 //
 // For points t and r of the mesh, |p - t|^2 - |p - r|^2 is linear in p: positive in a cell if it is at
-// the corners. So a triangle is nowhere nearest in a cell if all corners are nearer to r.
+// the corners. So a triangle is nowhere nearest in a cell if all corners are nearer to r. Only rivals
+// with a side count, so that the nearest triangle with a side stays, too.
 int16 may_be_nearest(const rivals *known, const float16 *distances, float16 doubt)
 {
     float16 least[8];

@@ -1,21 +1,19 @@
 // Computes exact signed distances at the vertices of a level's blocks. Host side:
 // voxtool/adf/levels.py.
 
-#include "adf/levels/lists.h"
-#include "adf/levels/narrow.h"
+#include "adf/levels/bundles.h"
 #include "spatial/boundary.h"
 
 // ---- distances
 
-#define SIXTEEN (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
-
-// The vertices of a block; upper bounds of the distances of its rivals, the triangles nearest to the
-// centres of the children, at the vertices, and which rival is which child's; and upper bounds of the
-// least distances at the vertices: with FLAT, to triangles with a side.
+// The vertices of a block; upper bounds of the distances of its rivals, the triangles with a side nearest
+// to the centres of the children, at the vertices, and which rival is which child's; upper bounds of the
+// least distances at the vertices: with FLAT, to triangles with a side; and whether the list is long.
 typedef struct {
     narrow_vertices at;
     float rivals[8][POINTS], least[POINTS];
     uint rival_of[8], count;
+    bool bundled;
 } block_vertices;
 
 // Sixteen triangles of a list, with their distances and ways to the centres of the children.
@@ -25,58 +23,119 @@ typedef struct {
     narrow_ways ways[8];
 } about_middles;
 
-void see_middles(const scene_of_lists *scene, uint place, uint end, float3 centre, float edge,
-                 about_middles *seen)
+float quarter(uint child, uint axis, float edge)
 {
-    const float quarter = 0.25f * edge;
+    return child >> axis & 1 ? 0.25f * edge : -0.25f * edge;
+}
+
+// Sees sixteen triangles of a list from the centres of these children, a bit each.
+void see_middles(const scene_of_lists *scene, uint place, uint end, float3 centre, float edge,
+                 uint children, about_middles *seen)
+{
     seen->triangles = sixteen_at(scene, place, end, centre, edge);
     for (uint k = 0; k < 8; ++k) {
         int16 feature;
-        seen->distances[k] =
-            sqrt(narrow_squares(&seen->triangles, k & 1 ? quarter : -quarter, k & 2 ? quarter : -quarter,
-                                k & 4 ? quarter : -quarter, &seen->ways[k], &feature));
+        if (children >> k & 1)
+            seen->distances[k] = sqrt(narrow_squares(&seen->triangles, quarter(k, 0, edge),
+                                                     quarter(k, 1, edge), quarter(k, 2, edge),
+                                                     &seen->ways[k], &feature));
     }
 }
 
-// The triangles of a list that are nearest to the centres of the children, by distances in single
-// precision, and upper bounds of the least distances. Leaves the last sixteen triangles in `seen`.
-void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float3 centre, float edge,
-                        about_middles *seen, uint *nearest_of, float *least_of)
+ball_ways ball_ways_to_middle(const bundles *all, uint bundle, uint child, float edge)
 {
-    float16 least[8];
-    int16 places[8];
-    for (uint i = 0; i < 8; ++i) {
-        least[i] = INFINITY;
-        places[i] = (int16)(int)begin;
+    return ball_ways_to(all, bundle, quarter(child, 0, edge), quarter(child, 1, edge),
+                        quarter(child, 2, edge));
+}
+
+// Puts balls about the bundles of a list; most[k] = an upper bound of the least distance to the centre
+// of child k.
+void set_bundles(const bundles *all, const scene_of_lists *scene, uint begin, uint end, float3 centre,
+                 float edge, float *most)
+{
+    for (uint i = 0; i < all->count; ++i) {
+        const narrow_triangles n = sixteen_at(scene, begin + 16 * i, end, centre, edge);
+        enclose(all, i, &n);
     }
-    for (uint j = begin; j < end; j += 16) {
-        see_middles(scene, j, end, centre, edge, seen);
-        for (uint i = 0; i < 8; ++i) {
-            const float16 d = seen->distances[i] + seen->triangles.doubt;
-            const int16 nearer = d < least[i];
-            least[i] = nearer ? d : least[i];
-            places[i] = nearer ? (int)j + SIXTEEN : places[i];
+    for (uint k = 0; k < 8; ++k) {
+        float16 least = INFINITY;
+        for (uint i = 0; i < all->count; i += 16) {
+            const ball_ways to = ball_ways_to_middle(all, i, k, edge);
+            least = lesser(least, to.exist ? to.length + to.radius : INFINITY);
         }
+        most[k] = lowest_narrow(least);
+    }
+}
+
+// open[i] = the children, a bit each, to whose centres a triangle of the i-th of sixteen bundles may be
+// as near as `most`.
+void bundles_near_middles(const bundles *all, uint bundle, float edge, const float *most, int *open)
+{
+    int16 bits = 0;
+    for (uint k = 0; k < 8; ++k) {
+        const ball_ways to = ball_ways_to_middle(all, bundle, k, edge);
+        bits |= to.exist & (to.length - to.radius <= most[k]) & 1 << k;
+    }
+    vstore16(bits, 0, open);
+}
+
+// Which of sixteen triangles of a list have a side.
+int16 sided_at(const scene_of_lists *scene, uint place, uint end)
+{
+#ifdef FLAT
+    int sides[16];
+    for (uint i = 0; i < 16; ++i)
+        sides[i] = has_side(scene, scene->items[min(place + i, end - 1)]) ? -1 : 0;
+    return vload16(0, sides);
+#else
+    return -1;
+#endif
+}
+
+// The triangles of a list that are nearest to the centres of the children, by distances in single
+// precision, of those with a side, and upper bounds of the least distances to all. Puts balls about the bundles of a long list, and
+// leaves the triangles of a list of up to sixteen in `seen`.
+void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float3 centre, float edge,
+                        const bundles *all, about_middles *seen, uint *nearest_of, float *least_of)
+{
+    float16 least[8], least_sided[8];
+    int16 places[8];
+    float most[8];
+    for (uint i = 0; i < 8; ++i) {
+        least[i] = least_sided[i] = INFINITY;
+        places[i] = (int16)(int)NO_TRIANGLE;
+    }
+    set_bundles(all, scene, begin, end, centre, edge, most);
+    int open[16];
+    for (uint j = begin; j < end; j += 16) {
+        const uint bundle = (j - begin) / 16;
+        if (all->count && bundle % 16 == 0)
+            bundles_near_middles(all, bundle, edge, most, open);
+        const uint children = all->count ? (uint)open[bundle % 16] : 255u;
+        if (children == 0)
+            continue;
+        see_middles(scene, j, end, centre, edge, children, seen);
+        const int16 sided = sided_at(scene, j, end);
+        for (uint i = 0; i < 8; ++i)
+            if (children >> i & 1) {
+                const float16 d = seen->distances[i] + seen->triangles.doubt;
+                const int16 nearer = sided & (d < least_sided[i]);
+                least[i] = lesser(least[i], d);
+                least_sided[i] = nearer ? d : least_sided[i];
+                places[i] = nearer ? (int16)(int)j + SIXTEEN : places[i];
+            }
     }
     for (uint i = 0; i < 8; ++i) {
         float distances[16];
         int place[16];
-        vstore16(least[i], 0, distances);
+        vstore16(least_sided[i], 0, distances);
         vstore16(places[i], 0, place);
         uint best = 0;
         for (uint lane = 1; lane < 16; ++lane)
             best = distances[lane] < distances[best] ? lane : best;
-        least_of[i] = distances[best];
-        nearest_of[i] = min((uint)place[best], end - 1);
+        least_of[i] = lowest_narrow(least[i]);
+        nearest_of[i] = (uint)place[best] == NO_TRIANGLE ? NO_TRIANGLE : min((uint)place[best], end - 1);
     }
-}
-
-// Updates the bounds of least distances at half of the vertices with the distances to a triangle.
-void lower_least(const scene_of_lists *scene, uint slot, float16 most, uint half_of,
-                 block_vertices *block)
-{
-    if (has_side(scene, slot))
-        vstore16(lesser(most, vload16(half_of, block->least)), half_of, block->least);
 }
 
 float16 distances_to_vertices(const narrow_triangles *n, const block_vertices *block, uint half_of)
@@ -101,12 +160,18 @@ void set_rivals(const scene_of_lists *scene, const uint *nearest_of, float3 cent
         block->rival_of[k] = same < k ? block->rival_of[same] : block->count;
         if (same < k)
             continue;
+        if (nearest_of[k] == NO_TRIANGLE) {
+            for (uint i = 0; i < POINTS; ++i)
+                block->rivals[block->count][i] = INFINITY;
+            ++block->count;
+            continue;
+        }
         const uint slot = scene->items[nearest_of[k]];
         const narrow_triangles n = one_narrow(scene, slot, centre, edge);
         for (uint i = 0; i < 2; ++i) {
             const float16 most = distances_to_vertices(&n, block, i) + n.doubt;
             vstore16(most, i, block->rivals[block->count]);
-            lower_least(scene, slot, most, i, block);
+            vstore16(lesser(most, vload16(i, block->least)), i, block->least);
         }
         ++block->count;
     }
@@ -129,32 +194,89 @@ tangents tangents_at(float16 d, const narrow_ways *way, float16 doubt, float edg
     return at;
 }
 
-// The triangles that a child needs; and those that may be nearest to one of its corners.
+// The triangles that a child needs; in a short list also those that may be nearest to one of its corners.
 int16 needed_by(uint child, const tangents *at, const block_vertices *block, int16 *near)
 {
     float16 corners[8];
-    int16 nearest_to_one = 0, open = 0;
+    int16 open = 0;
     for (uint i = 0; i < 8; ++i) {
-        const uint vertex = CORNERS[8 * child + i];
         corners[i] = at->base + (i & 1 ? at->x : -at->x) + (i & 2 ? at->y : -at->y) +
                      (i & 4 ? at->z : -at->z);
-        nearest_to_one |= corners[i] <= block->least[vertex];
-        open |= corners[i] <= block->rivals[block->rival_of[child]][vertex];
+        open |= corners[i] <= block->rivals[block->rival_of[child]][CORNERS[8 * child + i]];
     }
+    if (block->bundled) // rivals.h prunes long lists further
+        return open;
+    int16 nearest_to_one = 0;
+    for (uint i = 0; i < 8; ++i)
+        nearest_to_one |= corners[i] <= block->least[CORNERS[8 * child + i]];
     *near |= nearest_to_one;
-#ifdef FLAT
-    const int16 sure = 0; // `least` is no bound of the distances to all triangles
-#else
-    const int16 sure = nearest_to_one; // it is below all rivals there
-#endif
-    open &= ~sure;
+    open &= ~nearest_to_one; // which is below all rivals there
     for (uint rival = 0; rival < block->count && any(open); ++rival) {
         int16 some = 0;
         for (uint i = 0; i < 8; ++i)
             some |= corners[i] <= block->rivals[rival][CORNERS[8 * child + i]];
         open &= some;
     }
-    return sure | open;
+    return nearest_to_one | open;
+}
+
+// open[i] = the children, a bit each, for which a triangle of the i-th of sixteen bundles may matter: it
+// may be needed, or nearest to a corner or the centre.
+void bundles_needed(const bundles *all, uint bundle, float edge, const block_vertices *block,
+                    const float *least_of, int *open)
+{
+    int16 bits = 0;
+    for (uint k = 0; k < 8; ++k) {
+        ball_ways to = ball_ways_to_middle(all, bundle, k, edge);
+        const float16 d = to.length - to.radius, share = d / to.length;
+        to.way.x *= share, to.way.y *= share, to.way.z *= share;
+        const tangents at = tangents_at(d, &to.way, DOUBT * (to.length + edge), edge);
+        int16 near = 0;
+        const int16 needs = needed_by(k, &at, block, &near);
+        bits |= to.exist & (needs | d <= least_of[k]) & 1 << k;
+    }
+    vstore16(bits, 0, open);
+}
+
+// open[i] = the vertices, a bit each, to which a triangle of the i-th of sixteen bundles may be nearest.
+void bundles_near_vertices(const bundles *all, uint bundle, const block_vertices *block, int *open)
+{
+    int16 bits = 0;
+    for (uint i = 0; i < 27; ++i) {
+        const ball_ways to =
+            ball_ways_to(all, bundle, block->at.x[i], block->at.y[i], block->at.z[i]);
+        bits |= to.exist & (to.length - to.radius <= block->least[i]) & 1 << i;
+    }
+    vstore16(bits, 0, open);
+}
+
+// Updates the nearest triangles at these vertices, a bit each, with a bundle.
+void look_at_bundle(const scene_of_lists *scene, uint place, uint end, const narrow_triangles *n,
+                    uint vertices, const ways *points, block_vertices *block, nearest *found)
+{
+    const uint count = min(end - place, 16u);
+    const int16 sided = sided_at(scene, place, end);
+    int16 groups = 0;
+    for (uint i = 0; i < 27; ++i) {
+        if (!(vertices >> i & 1))
+            continue;
+        narrow_ways way;
+        int16 feature;
+        const float16 d =
+            sqrt(narrow_squares(n, block->at.x[i], block->at.y[i], block->at.z[i], &way, &feature));
+        groups |= (d - n->doubt <= block->least[i]) & 1 << i / 8;
+        block->least[i] = fmin(block->least[i], lowest_narrow(sided ? d + n->doubt : (float16)INFINITY));
+    }
+    int near[16];
+    vstore16(groups, 0, near);
+    for (uint i = 0; i < count; ++i) {
+        if (near[i] == 0)
+            continue;
+        const triangle t = triangle_at(scene, place + i);
+        for (uint k = 0; k < POINTS / 8; ++k)
+            if (near[i] >> k & 1)
+                look_at(scene, place + i, squares_to(&t, &points[k]), &found[k]);
+    }
 }
 
 // Updates the nearest triangles at the vertices with the triangle at an index of the lists, where it
@@ -166,8 +288,10 @@ void look_at_vertices(const scene_of_lists *scene, uint place, float3 centre, fl
     const narrow_triangles n = one_narrow(scene, slot, centre, edge);
     for (uint i = 0; i < 2; ++i) {
         const float16 d = distances_to_vertices(&n, block, i);
-        const int16 nearer = d - n.doubt <= vload16(i, block->least);
-        lower_least(scene, slot, d + n.doubt, i, block);
+        const float16 least = vload16(i, block->least);
+        const int16 nearer = d - n.doubt <= least;
+        if (has_side(scene, slot))
+            vstore16(lesser(d + n.doubt, least), i, block->least);
         for (uint k = 2 * i; k < 2 * i + 2; ++k)
             if (k & 1 ? any(nearer.hi) : any(nearer.lo)) {
                 const triangle t = triangle_at(scene, place);
@@ -192,14 +316,15 @@ uint sum_of(int16 counts)
 // The distance to a triangle is convex, so its tangent bounds it from below. Inside a cell, the
 // trilinear interpolation of its corner values bounds it from above. So a triangle is nowhere
 // nearest in a child if its tangent at the child's centre exceeds, at all corners, the distance to
-// some other triangle. The candidates for that are the triangles nearest to the centres of the
-// children.
+// some other triangle, of those with a side: the nearest of these is needed for the sign. The
+// candidates for that are the triangles nearest to the centres of the children.
 __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
                             __global double *centres, __global uint *places,
 #ifdef FLAT
                             __global uint *sided,
 #endif
-                            __global uchar *masks, __global uint *needed)
+                            __global uchar *masks, __global uint *needed, __global float *balls,
+                            const uint row)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -218,21 +343,33 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
     uint nearest_of[8];
     float least_of[8];
     about_middles seen;
-    nearest_to_middles(&scene, begin, end, centre, edge, &seen, nearest_of, least_of);
+    const bundles all = bundles_of(balls, row, gid, begin, end);
+    nearest_to_middles(&scene, begin, end, centre, edge, &all, &seen, nearest_of, least_of);
     set_rivals(&scene, nearest_of, centre, edge, &block);
+    block.bundled = all.count > 0;
     nearest found[POINTS / 8], central = nothing_found();
     int16 total[8];
     for (uint k = 0; k < POINTS / 8; ++k)
         found[k] = nothing_found();
     for (uint k = 0; k < 8; ++k)
         total[k] = 0;
+    int open[16], open_vertices[16];
     for (uint j = begin; j < end; j += 16) {
-        if (end - begin > 16) // otherwise they are seen
-            see_middles(&scene, j, end, centre, edge, &seen);
+        const uint bundle = (j - begin) / 16;
+        if (all.count && bundle % 16 == 0) {
+            bundles_needed(&all, bundle, edge, &block, least_of, open);
+            bundles_near_vertices(&all, bundle, &block, open_vertices);
+        }
+        const uint children = all.count ? (uint)open[bundle % 16] : 255u;
+        const uint vertices = all.count ? (uint)open_vertices[bundle % 16] : 0;
+        if ((children | vertices) && end - begin > 16) // otherwise they are seen
+            see_middles(&scene, j, end, centre, edge, children, &seen);
         const float16 doubt = seen.triangles.doubt;
         int16 bits = 0, near = 0, middle = 0;
         const int16 exist = SIXTEEN < (int)(end - j);
         for (uint k = 0; k < 8; ++k) {
+            if (!(children >> k & 1))
+                continue;
             const float16 d = seen.distances[k];
             const tangents at = tangents_at(d, &seen.ways[k], doubt, edge);
             const int16 needs = exist & needed_by(k, &at, &block, &near);
@@ -240,13 +377,15 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
             bits |= needs & 1 << k;
             total[k] += needs & 1;
         }
+        if (vertices)
+            look_at_bundle(&scene, j, end, &seen.triangles, vertices, points, &block, found);
         int bit[16], nears[16], central_to[16];
         vstore16(bits, 0, bit);
         vstore16(near, 0, nears);
         vstore16(middle, 0, central_to);
         for (uint i = 0; i < min(end - j, 16u); ++i) {
             masks[j + i] = (uchar)bit[i];
-            if (nears[i])
+            if (nears[i] && all.count == 0)
                 look_at_vertices(&scene, j + i, centre, edge, points, &block, found);
             if (central_to[i]) {
                 const triangle t = triangle_at(&scene, j + i);
@@ -275,12 +414,6 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
 }
 
 // ---- signs
-
-#ifdef FLAT
-#define PLACES_OF_SIDES sided
-#else
-#define PLACES_OF_SIDES places
-#endif
 
 #ifdef WINDING
 // An upper bound on the change of the winding number between a point and the middle of a face at
