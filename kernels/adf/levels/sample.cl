@@ -233,7 +233,7 @@ void bundles_needed(const bundles *all, uint bundle, float edge, const block_ver
         const tangents at = tangents_at(d, &to.way, DOUBT * (to.length + edge), edge);
         int16 near = 0;
         const int16 needs = needed_by(k, &at, block, &near);
-        bits |= to.exist & (needs | d <= least_of[k]) & 1 << k;
+        bits |= to.exist & (needs | (d <= least_of[k])) & 1 << k;
     }
     vstore16(bits, 0, open);
 }
