@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import functools
 import shutil
@@ -29,6 +30,18 @@ PATIENCE = 60  # seconds; SwiftShader compiles for some
 SMALL = (96, 72)  # pixels of a tab: a page draws them all after every change
 LARGE = (480, 360)  # there is room for the panel beside the pointer
 ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
+
+# Arrays come as text: Playwright checks lists one number at a time, in three processes.
+PICTURE = """([width, height]) => {
+    const text = (array) => {
+        const bytes = new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
+        const letters = Array.from(bytes, (byte) => String.fromCharCode(byte));
+        return [array.constructor.name, btoa(letters.join(""))];
+    };
+    const picture = voxtool.picture(width, height);
+    return [text(picture.colours), text(picture.ids)];
+}"""
+TYPES = {"Uint8Array": "u1", "Uint8ClampedArray": "u1", "Uint32Array": "<u4", "Int32Array": "<i4"}
 
 
 @functools.cache
@@ -110,13 +123,12 @@ class Viewer:
 
     def picture(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Return colours from 0 to 255, premultiplied, and ids, each (height, width, 4)."""
-        found = self.tab.evaluate(
-            "([w, h]) => { const p = voxtool.picture(w, h);"
-            "  return [[...p.colours], [...p.ids]]; }",
-            [width, height],
-        )
+        found = self.tab.evaluate(PICTURE, [width, height])
         shape = (height, width, 4)
-        return tuple(np.array(values, np.int64).reshape(shape)[::-1] for values in found)
+        return tuple(
+            np.frombuffer(base64.b64decode(text), TYPES[name]).astype(np.int64).reshape(shape)[::-1]
+            for name, text in found
+        )
 
 
 def written(content: Any, folder: Path) -> Path:
