@@ -25,6 +25,7 @@ from voxtool.opencl import Device, list_devices, open_device
 
 MODELS = Path(__file__).parents[2] / "shared" / "models"
 ABSENT = "no model"  # of a reason to skip, before the name
+NO_DEVICE = "no usable OpenCL device: install the extra 'cpu' or a driver"
 LONG = 600  # seconds of a soak run that has the tests marked long
 
 settings.register_profile(
@@ -112,7 +113,7 @@ def uses_processes_or_models(item: pytest.Function) -> bool:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "device_index" in metafunc.fixturenames:
         found = usable_devices()
-        assert found, "no usable OpenCL device: install the extra 'cpu' or a driver"
+        assert found, NO_DEVICE
         if metafunc.config.getoption("quick"):
             found = found[:1]
         metafunc.parametrize(
@@ -127,6 +128,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def device(device_index: int) -> Device:
     """Each usable device in turn."""
     return opened(device_index)
+
+
+@pytest.fixture(scope="session")
+def devices(request: pytest.FixtureRequest) -> list[Device]:
+    """All usable devices, for tests whose oracle takes longer than what it is compared with: it
+    runs once for all of them."""
+    found = usable_devices()
+    assert found, NO_DEVICE
+    return [opened(index) for index, _ in found[: 1 if request.config.getoption("quick") else None]]
 
 
 def model(name: str) -> Path:

@@ -118,22 +118,26 @@ def expected(octree: voxtool.Octree, mesh: voxtool.Mesh, lattice: str, fluid: st
     return found
 
 
-def check(octree: voxtool.Octree, mesh: voxtool.Mesh, device: Any, **decisions: Any) -> None:
+def check(octree: voxtool.Octree, mesh: voxtool.Mesh, devices: Any, **decisions: Any) -> None:
     for lattice, fluid in (("D3Q27", "unset"), ("D3Q19", "set")):
-        job = plan_wall_links(octree, mesh, lattice, fluid, device=device)
-        links = job.with_(**decisions).run()
         wanted = expected(octree, mesh, lattice, fluid)
-        assert job.plan.links == links.count == len(wanted)
-        assert links.voxels.tolist() == [list(v) for v in sorted({key[:3] for key in wanted})]
-        assert (links.places[links.flags == NO_LINK] == -1).all()
-        rows, columns = np.nonzero(links.flags)
-        for row, link in zip(rows.tolist(), columns.tolist(), strict=True):
-            place = wanted[(*links.voxels[row].tolist(), link)]
-            assert links.flags[row, link] == (UNCROSSED if place is None else CROSSED)
-            # single precision of a double that is off by a few units in its last place
-            assert links.places[row, link] == pytest.approx(
-                0.5 if place is None else float(place), rel=2**-23, abs=0
-            )
+        for device in devices:
+            job = plan_wall_links(octree, mesh, lattice, fluid, device=device)
+            compare(job, job.with_(**decisions).run(), wanted)
+
+
+def compare(job: Any, links: voxtool.WallLinks, wanted: dict) -> None:
+    assert job.plan.links == links.count == len(wanted)
+    assert links.voxels.tolist() == [list(v) for v in sorted({key[:3] for key in wanted})]
+    assert (links.places[links.flags == NO_LINK] == -1).all()
+    rows, columns = np.nonzero(links.flags)
+    for row, link in zip(rows.tolist(), columns.tolist(), strict=True):
+        place = wanted[(*links.voxels[row].tolist(), link)]
+        assert links.flags[row, link] == (UNCROSSED if place is None else CROSSED)
+        # single precision of a double that is off by a few units in its last place
+        assert links.places[row, link] == pytest.approx(
+            0.5 if place is None else float(place), rel=2**-23, abs=0
+        )
 
 
 def octree_and_mesh(seed: int, coarse: int) -> tuple[voxtool.Octree, voxtool.Mesh]:
@@ -153,17 +157,17 @@ RANDOM = pytest.mark.filterwarnings("ignore:no triangle crosses")
 
 @RANDOM
 @pytest.mark.parametrize("coarse", [1, 64, 128])
-def test_random_triangles(device, coarse: int) -> None:
+def test_random_triangles(devices, coarse: int) -> None:
     """Also those that pass through centres, edges that links lie on, and segments and points."""
     for seed in range(3):
-        check(*octree_and_mesh(seed, coarse), device)
+        check(*octree_and_mesh(seed, coarse), devices)
 
 
 @RANDOM
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 16, 128]), st.booleans())
 def test_any_triangles(seed: int, coarse: int, wide: bool) -> None:
-    check(*octree_and_mesh(seed, coarse), None, wide=wide)
+    check(*octree_and_mesh(seed, coarse), [None], wide=wide)
 
 
 def test_links_in_planes_of_triangles(device) -> None:
@@ -171,8 +175,8 @@ def test_links_in_planes_of_triangles(device) -> None:
     mesh = meshes.mesh_of(*meshes.box((1.5, 1.5, 1.5), (4.5, 3.5, 4.5)))
     grid = voxtool.Grid((8, 8, 8), (0, 0, 0), (1, 1, 1))
     octree = voxtool.voxelize(mesh, grid, "solid", fill="parity", device=device)
-    check(octree, mesh, device)
-    check(octree, mesh, device, wide=True)
+    check(octree, mesh, [device])
+    check(octree, mesh, [device], wide=True)
 
 
 @RANDOM

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise, product
 
 import meshes
@@ -33,15 +34,20 @@ def dense(octree: Octree) -> np.ndarray:
     return shares_of(octree, "faces")
 
 
-def check_oracle(octree: Octree, triangles: np.ndarray, turned: bool) -> None:
-    """Compare each face of set voxels with rational arithmetic."""
-    octree.validate()
-    found = dense(octree)
+def check_oracle(octrees: Sequence[Octree], triangles: np.ndarray, turned: bool) -> None:
+    """Compare each face of set voxels, of octrees of one request, with rational arithmetic."""
+    octree = octrees[0]
+    for other in octrees:
+        other.validate()
+        assert np.array_equal(other.bricks, octree.bricks)
+    each = [dense(octree) for octree in octrees]
     for cell in zip(*(axis.tolist() for axis in np.nonzero(octree.to_dense())), strict=True):
         for axis, high in product(range(3), range(2)):
             at = [c + high * (a == axis) for a, c in enumerate(cell)]
             share = share_by(octree.fill, filled_face(triangles, at, axis, turned))
-            assert abs(found[(*cell, 2 * axis + high)] - share) <= BOUND, (cell, axis, high)
+            for number, found in enumerate(each):
+                place = (*cell, 2 * axis + high)
+                assert abs(found[place] - share) <= BOUND, (number, place)
 
 
 def check_neighbours(octree: Octree) -> None:
@@ -57,17 +63,21 @@ def check_neighbours(octree: Octree) -> None:
 @pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @settings(max_examples=6)
 @given(data=st.data())
-def test_every_face_is_that_of_rational_arithmetic(device, data) -> None:
+def test_every_face_is_that_of_rational_arithmetic(devices, data) -> None:
     vertices, faces = data.draw(meshes.closed_meshes(SHAPE, beyond=2, parts=2))
     fill = data.draw(st.sampled_from(["parity", "nonzero", "winding"]))
     mesh = meshes.mesh_of(vertices / meshes.UNIT, faces)
-    octree = plan_fractions(mesh, grid(), fill=fill, faces=True, device=device).run()
+    octrees = [
+        plan_fractions(mesh, grid(), fill=fill, faces=True, device=device).run()
+        for device in devices
+    ]
     turned = fill != "winding" and volume_in_units(vertices.astype(np.int32), faces) < 0
-    check_oracle(octree, vertices[faces], turned)
-    check_neighbours(octree)
-    plain = plan_fractions(mesh, grid(), fill=fill, device=device).run()
-    assert octree.attributes[0] == plain.attributes[0]
-    assert np.array_equal(octree.bricks, plain.bricks)
+    check_oracle(octrees, vertices[faces], turned)
+    for octree, device in zip(octrees, devices, strict=True):
+        check_neighbours(octree)
+        plain = plan_fractions(mesh, grid(), fill=fill, device=device).run()
+        assert octree.attributes[0] == plain.attributes[0]
+        assert np.array_equal(octree.bricks, plain.bricks)
 
 
 @pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
@@ -231,7 +241,7 @@ def test_needles_that_reach_beyond_the_grid(device) -> None:
     turned = volume_in_units(meshes.fixed(far).astype(np.int32), faces) < 0
     octree = job.run()
     assert octree.count
-    check_oracle(octree, triangles, turned)
+    check_oracle([octree], triangles, turned)
     assert not job.disagreements
 
 
