@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import helpers_vtk
 import numpy as np
 from helpers_openvdb import openvdb
 
@@ -85,9 +86,7 @@ def read_vox(path: Path, grid: Grid) -> Read:
 
 
 def read_vtkhdf(path: Path, grid: Grid) -> Read:
-    import vtk
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
+    vtk: Any = helpers_vtk.vtk()
     reader = vtk.vtkHDFReader()
     reader.SetFileName(str(path))
     reader.Update()
@@ -100,9 +99,9 @@ def read_vtkhdf(path: Path, grid: Grid) -> Read:
     cells: Any = change.GetOutput()
     found, pitch = np.zeros((grid.side,) * 3, bool), (bounds[:, 1] - bounds[:, 0]) / grid.side
     if cells.GetNumberOfCells():
-        points = vtk_to_numpy(cells.GetPoints().GetData())
-        corners = points[vtk_to_numpy(cells.GetCells().GetConnectivityArray()).reshape(-1, 8)]
-        assert (vtk_to_numpy(cells.GetCellData().GetArray("coverage")) == 255).all()
+        points = vtk.vtk_to_numpy(cells.GetPoints().GetData())
+        corners = points[vtk.vtk_to_numpy(cells.GetCells().GetConnectivityArray()).reshape(-1, 8)]
+        assert (vtk.vtk_to_numpy(cells.GetCellData().GetArray("coverage")) == 255).all()
         ends = [(end - bounds[:, 0]) / pitch for end in (corners.min(axis=1), corners.max(axis=1))]
         low, high = (np.rint(end).astype(int) for end in ends)
         for side in np.unique(high[:, 0] - low[:, 0]):  # points are of single precision

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import helpers_vtk
 import numpy as np
 import pytest
 from helpers_attributes import attributed, sizes
@@ -86,11 +87,9 @@ def vtk_names(data: Any) -> list[str]:
 
 @pytest.mark.parametrize("options", [{}, {"level": 1}, {"bbox": (-1, 0.5, 0.2, 1, 4, 1)}], ids=str)
 def test_vti(options: dict[str, Any], tmp_path: Path) -> None:
-    pytest.importorskip("vtk")
-    from vtkmodules.vtkIOXML import vtkXMLImageDataReader
-
+    vtk: Any = helpers_vtk.vtk()
     octree = octree_at_a_place()
-    reader = vtkXMLImageDataReader()
+    reader = vtk.vtkXMLImageDataReader()
     reader.SetFileName(str(exported(octree, tmp_path / "a.vti", **options)))
     reader.Update()
     data = reader.GetOutput()
@@ -190,7 +189,7 @@ def test_nvdb(level: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_vtkhdf(level: int, tmp_path: Path) -> None:
-    vtk: Any = pytest.importorskip("vtk")
+    vtk: Any = helpers_vtk.vtk()
     octree = octree_at_a_place()
     reader = vtk.vtkHDFReader()
     reader.SetFileName(str(exported(octree, tmp_path / "a.vtkhdf", level=level)))

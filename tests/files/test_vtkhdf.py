@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import helpers_vtk
 import numpy as np
 import pytest
 from helpers_octree import WORLD, ball
@@ -14,7 +15,7 @@ import voxtool
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.svo.image import VoxelImage
 
-vtk: Any = pytest.importorskip("vtk")
+vtk: Any = helpers_vtk.vtk()
 RANDOM = np.random.default_rng(0)
 SHAPES = {
     "ball": ball((40, 33, 21)),

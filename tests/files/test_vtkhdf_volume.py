@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import helpers_vtk
 import numpy as np
 import pytest
 from helpers_cli import fail, run, told
@@ -14,8 +15,7 @@ from helpers_tets import assembly, boxes, built, grid_points, linear
 import voxtool
 from voxtool.errors import VoxtoolError
 
-vtk: Any = pytest.importorskip("vtk")
-numpy_support: Any = pytest.importorskip("vtk.util.numpy_support")
+vtk: Any = helpers_vtk.vtk()
 SHAPE = (3, 2, 4)
 LAYOUTS = ("raycast", "projection", "hexahedra", "constant")
 
@@ -37,7 +37,7 @@ def grid_of(path: Path | str) -> Any:
 
 
 def array(found: Any) -> np.ndarray:
-    return numpy_support.vtk_to_numpy(found)
+    return vtk.vtk_to_numpy(found)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
