@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import json
 import os
 import re
 import shlex
 import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -21,7 +23,7 @@ from helpers_browser import LARGE, SMALL, Viewer, open_browser
 from helpers_cli import ENVIRONMENT, MODULE, ROOT, run, write_obj
 from hypothesis import HealthCheck, Phase, settings
 
-from voxtool.opencl import Device, list_devices, open_device
+from voxtool.opencl import Device, open_device
 
 MODELS = Path(__file__).parents[2] / "shared" / "models"
 ABSENT = "no model"  # of a reason to skip, before the name
@@ -40,7 +42,15 @@ settings.load_profile("voxtool")
 
 @functools.cache
 def usable_devices() -> list[tuple[int, str]]:
-    return [(d.index, d.platform) for d in list_devices() if d.probe == "ok"]
+    """Index and platform of each.
+
+    A process of its own lists them, so that this one loads no driver before it has imported all
+    tests. Intel's driver reads the list of mappings, up to its own, for each program that it
+    builds; libraries that are loaded later come before it.
+    """
+    listed = subprocess.run([*MODULE, "devices", "--json"], env=ENVIRONMENT, capture_output=True)
+    devices = json.loads(listed.stdout or "[]")
+    return [(one["index"], one["platform"]) for one in devices if one["probe"] == "ok"]
 
 
 @functools.cache
