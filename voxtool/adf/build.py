@@ -240,7 +240,7 @@ class _Build:
         self.waiting: Store | None = None
         self.stored: Store | None = None
         self.identifiers: list[np.ndarray] = []
-        self.voxels: list[np.ndarray] = []
+        self.voxels = np.empty(0, np.float32)  # grows in place, so that it is never there twice
         self.codes: list[np.ndarray] = []
         self.missed = self.jumps = 0
         self.worst: tuple[float, int, int] | None = None  # error, level, identifier
@@ -271,9 +271,8 @@ class _Build:
         self.waiting = self.stores()
         if self.stored is None:
             self.stored = self.stores()
-            for voxels in self.voxels:
-                self.stored.put(voxels)
-            self.voxels.clear()
+            self.stored.put(self.voxels)
+            self.voxels.resize(0, refcheck=False)
 
     def _windows(self) -> Iterator[Level]:
         """Yield the cells of the level in windows, on the device."""
@@ -333,7 +332,9 @@ class _Build:
         if self.stored:
             self.stored.put(found.voxels)
         else:
-            self.voxels.append(found.voxels)
+            before = self.voxels.size
+            self.voxels.resize(before + found.voxels.size, refcheck=False)
+            self.voxels[before:] = found.voxels
         leaves = found.refined == 0
         self.codes.append(np.where(leaves, found.codes, np.uint8(NO_LEAF)))
         self.jumps += int(np.count_nonzero((errors < 0) & leaves))
@@ -352,9 +353,7 @@ class _Build:
         identifiers = np.concatenate(self.identifiers)
         shape = len(identifiers), 3, 3, 3
         voxels = (
-            self.stored.mapped(np.float32, shape)
-            if self.stored
-            else np.concatenate(self.voxels).reshape(shape)
+            self.stored.mapped(np.float32, shape) if self.stored else self.voxels.reshape(shape)
         )
         levels, ijk = cell_of(identifiers)
         with work.device.stage("hash"):

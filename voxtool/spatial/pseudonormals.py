@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.mesh.collinear import collinear
-from voxtool.mesh.topology import edges_of
+from voxtool.mesh.topology import edges_of, twins_of
 from voxtool.spatial.bvh import Frame
 from voxtool.vector import cross_component, difference, dot, length
 
@@ -90,8 +90,8 @@ def pseudonormals(mesh: Mesh) -> Pseudonormals:
     normals[flat] = 0
     corners = mesh.positions[mesh.faces]
     sides = edges_of(corners)[0].reshape(-1, 3)
-    between = np.sort(sides, axis=1)  # the first and the last side tell the three positions
-    planes = np.unique(between[:, 0] << 32 | between[:, 2], return_inverse=True)[1].reshape(-1, 1)
+    twins = twins_of(mesh)
+    planes = (np.arange(n) if twins is None else twins).reshape(-1, 1)
     parts, rows, first = [], [], 0
     for feature, weights in (
         (planes, np.ones((len(flat), 1))),
