@@ -450,15 +450,27 @@ double8 vertex_numbers(const scene_of_lists *scene, __global const uint *nearest
     return numbers_beside(scene, vload8(0, which), &points);
 }
 
-// The longest edge of the triangles of a list.
-double longest_edge(const scene_of_lists *scene, uint begin, uint end)
+// The largest distance between a point of a triangle of a list and the point in front of its centroid, of
+// voxtool/spatial/sides.py: two thirds of a median, which is no longer than the longest edge, and a little.
+double farthest_from_middle(const scene_of_lists *scene, uint begin, uint end)
 {
     double longest = 0;
     for (uint j = begin; j < end; ++j) {
         const double ee = triangle_at(scene, j).ee.s0;
         longest = ee > longest ? ee : longest;
     }
-    return sqrt(longest);
+    return 0.67 * sqrt(longest);
+}
+
+// Whether a number is on the same side of 1/2 as it is `way` away, where it changes by no more than this
+// slope.
+bool is_sure(double number, double way, double slope)
+{
+#ifdef WINDING
+    return fabs(number - 0.5) > NUMBER_ERRORS + way * slope;
+#else
+    return number == number;
+#endif
 }
 
 // Assigns signs to distances. states[b] is the side of the mesh of the whole block, if known: from
@@ -482,19 +494,22 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
     const double radius = extent / (1ul << level) * 2 * HALF_DIAGONAL + SLACK;
     const bool apart = own[MIDDLE] > radius;
     uchar state = parent_states[sources[gid] / 8];
-    double leeway = 0;
+    double slope = 0, farther = 0; // of the winding number; and the way from the nearest points to the middles
 #ifdef WINDING
     if (state == UNKNOWN) {
         const double3 p = vertex_point(identifiers[gid], level, extent, MIDDLE);
-        const double reach = own[MIDDLE] + 3 * radius + longest_edge(&scene, begins[gid], begins[gid + 1]);
-        leeway = sway(p.x, p.y, p.z, reach, spheres, sphere_count);
+        double farthest = 0;
+        for (uint i = 0; i < 27; ++i)
+            farthest = own[i] > farthest ? own[i] : farthest;
+        farther = farthest_from_middle(&scene, begins[gid], begins[gid + 1]);
+        slope = steepest(p.x, p.y, p.z, radius + farthest + farther, spheres, sphere_count);
     }
 #endif
     if (state == UNKNOWN && apart) {
         double numbers[8];
         vstore8(vertex_numbers(&scene, nearest_of, identifiers[gid], level, extent, MIDDLE / 8), 0, numbers);
         const double number = numbers[MIDDLE % 8];
-        if (fabs(number - 0.5) > leeway)
+        if (is_sure(number, own[MIDDLE] + farther + radius, slope))
             state = number > 0.5 ? INSIDE : OUTSIDE;
     }
     uint doubtful = 0;
@@ -506,7 +521,7 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
         for (uint i = 8 * k; i < min(8 * k + 8, 27u); ++i) {
             const double number = numbers[i % 8];
             if (state == UNKNOWN)
-                doubtful |= (fabs(number - 0.5) > leeway ? 0u : 1u) << i;
+                doubtful |= (is_sure(number, own[i] + farther, slope) ? 0u : 1u) << i;
             own[i] = with_sign(own[i], state == UNKNOWN ? number > 0.5 : state == INSIDE);
         }
     }
