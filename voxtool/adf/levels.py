@@ -4,7 +4,8 @@ The list of a cell contains the nearest triangle to every point of the cell. Chi
 part of the list that they need, so lists shrink with the cells, and no tree is searched. A triangle
 is not needed where another point of the mesh is nearer to all corners of a cell (rivals.h). Sixteen
 triangles are tested side by side in single precision, with a bound on the error; only those that it
-leaves in doubt are tested in double precision.
+leaves in doubt are tested in double precision. In a long list, balls about sixteen triangles each
+tell which of these to test (bundles.h).
 
 Kernels: kernels/adf/levels/, a source for each stage.
 """
@@ -147,7 +148,8 @@ class Level:
 def programs(plan: FieldPlan) -> list[Request]:
     """Return the programs that the stages of the levels use, in order."""
     options = _options(plan)
-    stages = ["sample", *["constrain"] * (plan.continuous and plan.max_level > 1), "examine"]
+    stages = ["sample", *["signs"] * (plan.sign != "none")]
+    stages += [*["constrain"] * (plan.continuous and plan.max_level > 1), "examine"]
     stages += ["refine"] * (plan.max_level > 1)
     return [(NARROWING, {}), *((f"adf/levels/{stage}.cl", options) for stage in stages)]
 
@@ -252,7 +254,7 @@ def sample(work: Construction, level: Level) -> None:
         work.run("sample", "sample_blocks", level, **_balls(level))
         if "SIGNED" in work.options:
             level.allocate(states=(1, np.uint8), doubts=(1, np.uint32), asked=(1, np.uint32))
-            work.run("sample", "sign_blocks", level)
+            work.run("signs", "sign_blocks", level)
         for _ in ("middles of blocks", "vertices") if winding else ():
             settle_signs(work, level)
 
@@ -269,19 +271,19 @@ def settle_signs(work: Construction, level: Level) -> None:
     device = work.device
     begins = device.empty(level.count + 1, np.uint32)
     with device.stage("signs"):
-        work.run("sample", "count_asked", level, counts=begins)
+        work.run("signs", "count_asked", level, counts=begins)
         total = exclusive_scan(begins, level.count)
         if total == 0:
             return
         points, vertices = device.empty(3 * total, np.float64), device.empty(total, np.uint64)
-        work.run("sample", "list_asked", level, begins=begins, points=points, vertices=vertices)
+        work.run("signs", "list_asked", level, begins=begins, points=points, vertices=vertices)
         # blocks share most of their vertices: each is computed once
         _, first, again = np.unique(vertices.take(), return_index=True, return_inverse=True)
         numbers = device.zeros(total, np.float64)
         which = device.put(np.sort(first).astype(np.uint32))  # consecutive ones are near each other
         work.survey.winding.wind(len(first), points, which, numbers)
         numbers = device.put(numbers.take()[first][again])
-        work.run("sample", "settle_signs", level, begins=begins, numbers=numbers)
+        work.run("signs", "settle_signs", level, begins=begins, numbers=numbers)
 
 
 def constrain(work: Construction, level: Level) -> None:
