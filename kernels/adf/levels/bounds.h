@@ -70,8 +70,8 @@ float16 narrow_bend(float16 least, float16 across, float edge)
     return ahead > 0.0f && curved < bend ? curved : bend;
 }
 
-// The mean of sixteen triangles' distances and those to the one with the least excess over the sizes, at
-// eight corners, exceeds them by no more than this; nor do the distances to that one alone.
+// An upper bound of the error above, from the excesses of sixteen triangles' distances over the sizes at
+// eight corners: of each triangle, and of the mean of each and the best.
 float narrow_above(const float16 *excess_at[8])
 {
     float16 excess = *excess_at[0];
@@ -89,8 +89,9 @@ float narrow_above(const float16 *excess_at[8])
     return fmin(above, lowest_narrow(means));
 }
 
-// Upper bounds of the same errors, above and below, in a child that has many triangles; and the largest
-// doubt of a distance: from its rivals, of which one is nearest to each corner. The bound below is general.
+// Upper bounds of the same errors, above and below, in a child that has many triangles, and the largest
+// doubt of a distance: from its rivals, of which one is nearest to each corner. The bound below is
+// general.
 float3 bounds_by_rivals(const rivals *known, const child_corners *c, const float *sizes, float edge)
 {
     const narrow_triangles *n = &known->triangles;

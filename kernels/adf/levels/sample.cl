@@ -89,9 +89,9 @@ int16 sided_at(const scene_of_lists *scene, uint place, uint end)
 #endif
 }
 
-// The triangles of a list that are nearest to the centres of the children, by distances in single
-// precision, of those with a side, and upper bounds of the least distances to all. Puts balls about the bundles of a long list, and
-// leaves the triangles of a list of up to sixteen in `seen`.
+// The triangles of a list with a side that are nearest to the centres of the children, by distances in
+// single precision, and upper bounds of the least distances to all. Puts balls about the bundles of a
+// long list; leaves the triangles of a list of up to sixteen in `seen`.
 void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float3 centre, float edge,
                         const bundles *all, about_middles *seen, uint *nearest_of, float *least_of)
 {

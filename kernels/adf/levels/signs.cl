@@ -29,8 +29,9 @@ double8 vertex_numbers(const scene_of_lists *scene, __global const uint *nearest
 }
 
 #ifdef WINDING
-// The largest distance between a point of a triangle of a list and the point in front of its centroid, of
-// voxtool/spatial/sides.py: two thirds of a median, which is no longer than the longest edge, and a little.
+// The largest distance between a point of a triangle of a list and the point in front of its centroid
+// (voxtool/spatial/sides.py): two thirds of a median, which is no longer than the longest edge, and a
+// little.
 double farthest_from_middle(const scene_of_lists *scene, uint begin, uint end)
 {
     double longest = 0;
@@ -84,7 +85,7 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
     const double radius = extent / (1ul << level) * 2 * HALF_DIAGONAL + SLACK;
     const bool apart = own[MIDDLE] > radius;
     uchar state = parent_states[sources[gid] / 8];
-    double ways[27], slope = 0; // the ways from the vertices to the middles of faces; of the winding number
+    double ways[27], slope = 0; // from the vertices to the middles of faces; of the winding number
     for (uint i = 0; i < 27; ++i)
         ways[i] = own[i];
 #ifdef WINDING
