@@ -18,7 +18,7 @@ PARTS = ("vtkCommonCore", "vtkCommonDataModel", "vtkIOHDF", "vtkIOXML", "vtkFilt
 
 @functools.cache
 def vtk() -> SimpleNamespace:
-    """The names of these parts; skips the test, or the module that asks, without VTK."""
+    """Return the names in PARTS; without VTK, skip the test or the module that calls this."""
     pytest.importorskip("vtkmodules")
     parts = [vars(importlib.import_module(f"vtkmodules.{name}")) for name in PARTS]
     return SimpleNamespace(**{name: value for part in parts for name, value in part.items()})

@@ -367,18 +367,32 @@ def test_many_triangles_of_any_size_and_shape(device: Device, sign: str) -> None
     check_distances(mesh, field, device)
 
 
-def test_segments_about_a_sphere_have_no_say_in_its_sides(device: Device) -> None:
+def sphere_among_segments(missing: int) -> Mesh:
+    """Return a sphere of radius 1 without its first faces, and 4,000 segments about its surface."""
     (vertices, faces), rng = meshes.icosphere(4), np.random.default_rng(16)
     ends = rng.normal(size=(4000, 2, 3))
     ends *= rng.uniform(0.7, 1.3, (4000, 2, 1)) / np.linalg.norm(ends, axis=-1, keepdims=True)
     ends[:, 1] = ends[:, 0] + 0.05 * (ends[:, 1] - ends[:, 0])
-    parts = vertices[faces], ends[:, [0, 1, 1]]
-    mesh = mesh_of(np.concatenate(parts))
+    return mesh_of(np.concatenate([vertices[faces[missing:]], ends[:, [0, 1, 1]]]))
+
+
+def test_segments_about_a_sphere_have_no_say_in_its_sides(device: Device) -> None:
+    mesh = sphere_among_segments(missing=0)
     field = build(mesh, device, tolerance=4e-3, max_level=4, sign="pseudonormal", continuous=False)
     points = check_distances(mesh, field, device)
     from_middle = np.linalg.norm(points, axis=1)
     clear = (from_middle < 0.99) | (from_middle > 1)
     assert ((field.voxels.ravel() < 0) == (from_middle < 1))[clear].all()
+
+
+def test_segments_about_a_sphere_with_a_hole(device: Device) -> None:
+    mesh = sphere_among_segments(missing=40)
+    field = build(mesh, device, tolerance=4e-3, max_level=4, sign="winding", continuous=False)
+    points = check_distances(mesh, field, device)
+    some = np.random.default_rng(1).choice(len(points), 1500, replace=False)
+    number = winding(points[some], mesh.vertices[mesh.faces[: len(mesh.faces) - 4000]])
+    clear = np.abs(number - 0.5) > CLEAR
+    assert ((field.voxels.ravel()[some] < 0) == (number > 0.5))[clear].all()
 
 
 # ---- the tree

@@ -4,8 +4,8 @@ The list of a cell contains the nearest triangle to every point of the cell. Chi
 part of the list that they need, so lists shrink with the cells, and no tree is searched. A triangle
 is not needed where another point of the mesh is nearer to all corners of a cell (rivals.h). Sixteen
 triangles are tested side by side in single precision, with a bound on the error; only those that it
-leaves in doubt are tested in double precision. In a long list, balls about sixteen triangles each
-tell which of these to test (bundles.h).
+leaves in doubt are tested in double precision. In a long list, a ball about sixteen triangles tells
+whether they need a test (bundles.h).
 
 Kernels: kernels/adf/levels/, a source for each stage.
 """

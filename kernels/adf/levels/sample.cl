@@ -25,7 +25,8 @@ float quarter(uint child, uint axis, float edge)
     return child >> axis & 1 ? 0.25f * edge : -0.25f * edge;
 }
 
-// Sees sixteen triangles of a list from the centres of these children, a bit each.
+// Computes distances and ways from sixteen triangles of a list to the centres of some children; bit k
+// of `children` is set for child k.
 void see_middles(const scene_of_lists *scene, uint place, uint end, float3 centre, float edge,
                  uint children, about_middles *seen)
 {
@@ -313,8 +314,8 @@ uint sum_of(int16 counts)
 // The distance to a triangle is convex, so its tangent bounds it from below. Inside a cell, the
 // trilinear interpolation of its corner values bounds it from above. So a triangle is nowhere
 // nearest in a child if its tangent at the child's centre exceeds, at all corners, the distance to
-// some other triangle, of those with a side: the nearest of these is needed for the sign. The
-// candidates for that are the triangles nearest to the centres of the children.
+// some other triangle. Only triangles with a side are compared with it, because the sign needs the
+// nearest triangle with a side. The candidates are those nearest to the centres of the children.
 __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
                             __global double *centres, __global uint *places,
 #ifdef FLAT

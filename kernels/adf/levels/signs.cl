@@ -42,15 +42,17 @@ double farthest_from_middle(const scene_of_lists *scene, uint begin, uint end)
     return 0.67 * sqrt(longest);
 }
 
+#ifdef FLAT
 // The distance from a point to the triangle at an index of the lists; infinite if there is none.
 double distance_to(const scene_of_lists *scene, uint place, double3 p)
 {
     if (place == NO_TRIANGLE)
         return INFINITY;
     const triangle t = triangle_at(scene, place);
-    const ways point = {p.x, p.y, p.z};
+    const ways point = {(double8)p.x, (double8)p.y, (double8)p.z};
     return sqrt(squares_to(&t, &point).s0);
 }
+#endif
 #endif
 
 // Whether a number is on the same side of 1/2 as it is `way` away, where it changes by no more than this
@@ -93,10 +95,12 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
         const double3 p = vertex_point(identifiers[gid], level, extent, MIDDLE);
         const double along = farthest_from_middle(&scene, begins[gid], begins[gid + 1]);
         double farthest = 0;
-        for (uint i = 0; i < 27; ++i) {
 #ifdef FLAT // the nearest face with a side may be farther away
-            ways[i] = radius + distance_to(&scene, nearest_of[MIDDLE], p);
+        const double to_side = radius + distance_to(&scene, nearest_of[MIDDLE], p);
+        for (uint i = 0; i < 27; ++i)
+            ways[i] = to_side;
 #endif
+        for (uint i = 0; i < 27; ++i) {
             ways[i] += along;
             farthest = ways[i] > farthest ? ways[i] : farthest;
         }
