@@ -25,6 +25,8 @@ def main() -> NoReturn:
         if number and signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, _end)
     _open_streams()
+    # Nothing here multiplies large matrices, and numpy's threads for it spin while they wait.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     watch.start()
     from voxtool.cli.main import cli
 

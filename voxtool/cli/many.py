@@ -20,14 +20,13 @@ import click
 from voxtool.cli import options
 from voxtool.cli.options import Parsed, flag, option, together
 from voxtool.cli.runner import SHARED
-from voxtool.cli.workers import Spread, Task, Workers, serve
 from voxtool.errors import CheckError, DeviceError, VoxtoolError, human, printable
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from voxtool.cli.workers import Answer
+    from voxtool.cli.workers import Answer, Task
     from voxtool.files.manifest import Manifest
 
     Values = dict[str, Any]
@@ -72,6 +71,8 @@ def mesh_argument(
             meshes, values = arrange(mesh, values)
             more = {name: own[name] for name in ("dask", "workers")} if divides else {}
             if own["as_worker"]:
+                from voxtool.cli.workers import serve
+
                 serve(call, values)
             elif values.get("labels") and len(meshes) > 1:
                 refused = ("shard",) if own["dask"] else ("shard", "workers")
@@ -147,6 +148,8 @@ class Many:
         CheckError
             If a mesh failed.
         """
+        from voxtool.cli.workers import Task
+
         began = time.perf_counter()
         tasks = [Task(mesh, self.outputs.get(mesh)) for mesh in self.meshes]
         manifest = None
@@ -181,6 +184,8 @@ class Many:
     def do(self, tasks: Sequence[Task], manifest: Manifest | None) -> dict[str, Answer]:
         """Do the tasks, print what workers say, and return the answers by their mesh; those that
         are in the manifest are not kept."""
+        from voxtool.cli.workers import Spread, Workers
+
         context = click.get_current_context()
         words = list(context.find_root().command.words)  # pyright: ignore[reportAttributeAccessIssue]
         words.insert(words.index(str(context.info_name)) + 1, "--as-worker")

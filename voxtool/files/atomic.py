@@ -10,10 +10,9 @@ import errno
 import functools
 import hashlib
 import os
-import secrets
+import platform
 import shutil
 import signal
-import socket
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -199,7 +198,7 @@ def _create_beside(folder: Path, name: str) -> Path:
     stem = f".{name[:40]}.{_machine()}-"
     _sweep(folder, stem)
     flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-    path = folder / f"{stem}{os.getpid()}-{secrets.token_hex(8)}.tmp"
+    path = folder / f"{stem}{os.getpid()}-{os.urandom(8).hex()}.tmp"
     os.close(os.open(path, flags, 0o666))  # the system applies the umask
     return path
 
@@ -210,7 +209,7 @@ def _machine() -> str:
     processes = 0
     with suppress(OSError):
         processes = os.stat("/proc/self/ns/pid").st_ino
-    return hashlib.sha256(f"{socket.gethostname()} {processes}".encode()).hexdigest()[:8]
+    return hashlib.sha256(f"{platform.node()} {processes}".encode()).hexdigest()[:8]
 
 
 def _sweep(folder: Path, stem: str) -> None:

@@ -192,7 +192,7 @@ VOLUME_FORMATS = {
     ".e": "exodus",
 }
 
-HDF5, GZIP, BOM = b"\x89HDF\r\n\x1a\n", b"\x1f\x8b", b"\xef\xbb\xbf"
+HDF5, GZIP, ZIP, BOM = b"\x89HDF\r\n\x1a\n", b"\x1f\x8b", b"PK\x03\x04", b"\xef\xbb\xbf"
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,17 @@ import math
 import os
 import re
 import sys
+import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from voxtool.choices import LENGTH_UNITS
 from voxtool.errors import MeshError, one_line, printable
-from voxtool.files import gltf, obj, off, ply, stl, threemf
+from voxtool.files import obj, off, ply, stl
 from voxtool.files.companions import Companions
-from voxtool.files.formats import GZIP, HDF5
+from voxtool.files.formats import GZIP, HDF5, ZIP
 from voxtool.files.placement import Read
 from voxtool.files.streams import STREAM, read_at_most, read_error
 from voxtool.memory import available_memory
@@ -103,18 +103,22 @@ def load_mesh(
         raise MeshError(str(read_error(name, error))) from None
     if not data:
         raise MeshError(f"{name}: the file is empty: export the mesh again")
-    with ThreadPoolExecutor(1) as beside:  # hashing does not hold the interpreter's lock
-        digest = beside.submit(hashlib.sha256, data)
-        limit = most if max_memory is None else min(most, max_memory)
-        folder = None if given or not isinstance(path, str) else os.path.dirname(path)
-        companions = Companions(name, folder, limit)
+    limit = most if max_memory is None else min(most, max_memory)
+    folder = None if given or not isinstance(path, str) else os.path.dirname(path)
+    companions = Companions(name, folder, limit)
+    digest = hashlib.sha256()
+    beside = threading.Thread(target=digest.update, args=(data,))  # without the interpreter's lock
+    beside.start()
+    try:
         found = _parsed(name, kind, data, limit, max_memory, keep, companions)
+    finally:
+        beside.join()
     vertices = found.vertices
     if scale != 1:
         with np.errstate(over="ignore"):  # infinity is refused with the vertex
             vertices = vertices * scale
     return mesh_from_arrays(
-        vertices, found.faces, source_sha256=digest.result().hexdigest(), name=name,
+        vertices, found.faces, source_sha256=digest.hexdigest(), name=name,
         units=units or found.units, parts=found.parts, appearance=found.appearance,
     )  # fmt: skip
 
@@ -153,8 +157,12 @@ def _parsed(
     data = _unpacked(name, data, limit)
     kind = kind or _kind_of_content(data)
     if kind in ("glb", "gltf"):
+        from voxtool.files import gltf
+
         return gltf.parse(name, kind, data, max_memory, keep, companions)
     if kind == "3mf":
+        from voxtool.files import threemf
+
         return threemf.parse(name, data, most_unpacked(data, limit), max_memory, keep)
     if kind == "obj":
         _refuse_binary(name, data)
@@ -252,7 +260,7 @@ def _kind_of_content(data: bytes) -> str:
         return "ply"
     if data.startswith(b"glTF"):
         return "glb"
-    if data.startswith(threemf.ZIP):
+    if data.startswith(ZIP):
         return "3mf"
     if re.match(rb"\s*(?:ST)?C?N?4?n?OFF\b", data):
         return "off"

@@ -33,7 +33,6 @@ from voxtool.files.placement import (
 from voxtool.mesh.appearance import Material
 from voxtool.mesh.srgb import to_linear
 
-ZIP = b"PK\x03\x04"
 RELATIONS = "_rels/.rels"
 RELATION = "http://schemas.openxmlformats.org/package/2006/relationships Relationship"
 ROOT_MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"

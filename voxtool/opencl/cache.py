@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import os
-import secrets
 import shutil
 import tempfile
 import warnings
@@ -89,7 +88,7 @@ def load(file: Path) -> bytes | None:
 
 def keep(file: Path, binary: bytes) -> None:
     """Write a compiled program to its file; warns if the disk is full."""
-    beside = file.with_name(f"{file.name}.{secrets.token_hex(8)}")
+    beside = file.with_name(f"{file.name}.{os.urandom(8).hex()}")
     try:
         beside.write_bytes(hashlib.sha256(binary).digest() + binary)
         beside.replace(file)

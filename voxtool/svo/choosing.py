@@ -1,12 +1,10 @@
 """The fill rule that "auto" takes for a mesh that is not watertight.
 
-A mesh is consistent if edges of two faces agree, none of the boundary has more than one face, and
-every part that vertices connect, its holes closed, encloses a volume with its faces outward. It is
-filled by winding numbers, and nothing is compared. For any other mesh rules are tried in order, on
-a grid of DIM voxels around it whatever grid is asked for: winding numbers of the mesh as it is, if
-its edges agree, and of the oriented mesh (spatial/orientation.py); then floods with smaller and
-smaller gaps. The first rule that keeps enough of the outer surface (shares.py) is taken; a flood
-without a gap keeps all of it.
+A consistent mesh (consistency.py) is filled by winding numbers, and nothing is compared. For any
+other mesh rules are tried in order, on a grid of DIM voxels around it whatever grid is asked for:
+winding numbers of the mesh as it is, if its edges agree, and of the oriented mesh
+(spatial/orientation.py); then floods with smaller and smaller gaps. The first rule that keeps
+enough of the outer surface (shares.py) is taken; a flood without a gap keeps all of it.
 
 Holes let the flood in, so that walls between overlapping parts count as outer surface too: solids
 lose those walls, and crusts keep them. Winding numbers are therefore taken as well where edges
@@ -25,20 +23,16 @@ import numpy as np
 from voxtool.errors import MeshWarning, count_of
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.parts import find_parts
-from voxtool.mesh.shells import FLAT
-from voxtool.mesh.topology import edge_keys, net_faces, sides_of
 from voxtool.opencl import Device
-from voxtool.spatial.bvh import Frame
 from voxtool.spatial.orientation import orient
-from voxtool.svo.fill.caps import Boundary, find_boundary
+from voxtool.svo.consistency import agree, encloses
+from voxtool.svo.fill.caps import Boundary
 from voxtool.svo.octree import Octree
 from voxtool.svo.shares import Share, outer_surface, share_of, share_within
 
 DIM = 128  # of the grid on which rules are compared
 MOVED = 37 / 256, 53 / 256, 91 / 256  # voxels
 GAPS = 3, 1, 0  # voxels of that grid, of floods
-LARGEST = 1000  # exponent of an extent: volumes are computed in local coordinates
 LAST = "flood", GAPS[-1]
 HELD = ", and the rest is inside"
 
@@ -64,46 +58,6 @@ class Choice:
         return min(math.ceil(self.gap * (self.pitch / min(grid.pitch))), grid.dim)
 
 
-def consistent(mesh: Mesh, boundary: Boundary, device: Device) -> bool:
-    """Return whether a mesh defines an inside by the directions of its faces."""
-    if not _agree(boundary) or _fins(mesh, boundary):
-        return False
-    volumes, flat = _volumes(mesh, boundary, device)
-    return bool((volumes > flat).all())
-
-
-def _encloses(mesh: Mesh, device: Device) -> bool:
-    """Return whether edges agree and every part encloses a volume, or is a cavity."""
-    boundary = find_boundary(mesh, net_faces(mesh))
-    volumes, flat = _volumes(mesh, boundary, device)
-    return _agree(boundary) and bool((np.abs(volumes) > flat).all())
-
-
-def _volumes(mesh: Mesh, boundary: Boundary, device: Device) -> tuple[np.ndarray, np.ndarray]:
-    """Return the volume of each part, its holes closed, and that up to which it is flat."""
-    points = Frame.of(mesh, LARGEST).local(mesh.vertices)
-    parts = find_parts(mesh, points, boundary.edges, device)
-    side = (parts.high - parts.low).max(axis=1, initial=0)
-    return parts.volumes, FLAT * side * side * side
-
-
-def _agree(boundary: Boundary) -> bool:
-    """Return whether no edge is traversed twice or more in one direction than in the other."""
-    edges = boundary.edges
-    return not (edges[1:] == edges[:-1]).all(axis=1).any()
-
-
-def _fins(mesh: Mesh, boundary: Boundary) -> bool:
-    """Return whether an edge of the boundary has more than one face."""
-    on_boundary = np.zeros(len(mesh.vertices), bool)
-    places = mesh.positions[boundary.edges]
-    on_boundary[places] = True
-    corners = mesh.positions[mesh.faces]
-    near = np.count_nonzero(on_boundary[corners], axis=1) > 1
-    sides, _ = edge_keys(*sides_of(corners[near]))
-    return int(np.count_nonzero(np.isin(sides, edge_keys(*places.T)[0]))) > len(places)
-
-
 def choose(
     mesh: Mesh, boundary: Boundary, device: Device, voxelized: Callable[..., Octree]
 ) -> Choice:
@@ -124,7 +78,7 @@ def choose(
             fill == "winding"
             and not share.enough
             and share_within(outer, result, device).enough
-            and _encloses(oriented or mesh, device)
+            and encloses(oriented or mesh, device)
         )
         if share.enough or held or (fill, gap) == LAST:
             why = _reason(fill, gap, turned, share, lost) + HELD * held
@@ -146,15 +100,15 @@ def _candidates(
     mesh: Mesh, boundary: Boundary, device: Device
 ) -> Iterator[tuple[Mesh | None, str, int, int]]:
     """Yield oriented meshes if faces are reversed, rules and gaps, and the number of such faces."""
-    agree = _agree(boundary)
-    if agree:
+    agreed = agree(boundary)
+    if agreed:
         yield None, "winding", 0, 0
     with device.stage("orientation"):
         oriented = orient(mesh, device)
     turned = int(np.count_nonzero(oriented.reversed))
     if turned:
         yield oriented.mesh, "winding", 0, turned
-    elif not agree:
+    elif not agreed:
         yield None, "winding", 0, 0
     for gap in GAPS:
         yield None, "flood", gap, 0

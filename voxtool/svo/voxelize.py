@@ -21,7 +21,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,12 +41,9 @@ from voxtool.opencl.primitives import COMPACTION, RADIX_SORT
 from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
-from voxtool.svo.choosing import Choice, choose, consistent
+from voxtool.svo.consistency import consistent
 from voxtool.svo.fill.caps import Boundary, find_boundary
-from voxtool.svo.fill.dilation import SOURCE as DILATION
-from voxtool.svo.fill.flood import flood, frame_of
 from voxtool.svo.fill.levels import SOURCE as LEVELS
-from voxtool.svo.fill.pieces import SOURCE as FLOOD
 from voxtool.svo.fill.rows import (
     CROSSINGS,
     Filled,
@@ -65,6 +62,9 @@ from voxtool.svo.plan import COMPARISON, REQUEST, Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import ActiveNodes, Scan, add_nodes, find_active_nodes
+
+if TYPE_CHECKING:
+    from voxtool.svo.choosing import Choice
 
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
@@ -125,6 +125,8 @@ def _choice(mesh: Mesh, device: Device) -> Choice | None:
     boundary = _boundary(mesh)
     if consistent(mesh, boundary, device):
         return None
+    from voxtool.svo.choosing import choose
+
     with device.stage(COMPARISON), device.reporting(lambda _: None):  # not the stages within
         return choose(mesh, boundary, device, voxelize)
 
@@ -264,6 +266,9 @@ class VoxelizeJob(Job[Octree]):
         if plan.caps:
             programs += [*by_rows, *near_holes(plan)]
         if plan.fill == "flood":
+            from voxtool.svo.fill.dilation import SOURCE as DILATION
+            from voxtool.svo.fill.pieces import SOURCE as FLOOD
+
             programs += [(ROWS, {"CODE": "uint"}), (BUILD, wide), (COMPACTION, {"KEY": "ulong"})]
             return [*programs, (FLOOD, wide), *[(DILATION, wide), sort] * (plan.gap > 0)]
         programs += [(BUILD, code), (COMPACTION, {"KEY": options["CODE"]})]
@@ -316,6 +321,8 @@ class VoxelizeJob(Job[Octree]):
 
     def _flood(self) -> Octree:
         """Return the octree of everything that the outside cannot reach through the surface."""
+        from voxtool.svo.fill.flood import flood, frame_of
+
         low = np.array(self._window[0] if self._window else (0, 0, 0))
         plan = self.plan
         frame = frame_of(self._whole.shape, low, np.array(plan.shape), plan.gap, plan.slabs)

@@ -1,9 +1,10 @@
-"""The choice of the job that makes an octree with the attributes that are asked for."""
+"""The choice of the job that makes an octree with the attributes that are asked for. Modules of
+attributes are imported where they are needed: most octrees have none."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from voxtool.choices import COLOURS, FILLS, FRACTION, FRACTION_TYPES, NAMED, PRIORITIES
 from voxtool.errors import VoxtoolError
@@ -11,11 +12,12 @@ from voxtool.grid import Grid
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
-from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
-from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
-from voxtool.svo.attribution.part_fractions import plan_part_fractions
 from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
+
+if TYPE_CHECKING:
+    from voxtool.svo.attribution.colours import SurfaceAttributesJob
+    from voxtool.svo.attribution.fraction import FractionJob
+    from voxtool.svo.attribution.labels import PartLabelsJob
 
 
 def plan_octree(
@@ -45,10 +47,14 @@ def plan_octree(
         options: Any = {"fill": fill, "kind": fraction_type or FRACTION_TYPES[0]}
         options |= {"device": device, "max_memory": max_memory}
         if labels is None:
+            from voxtool.svo.attribution.fraction import plan_fractions
+
             return plan_fractions(mesh, grid, faces=face_fractions, window=window, **options)
         if face_fractions or window is not None:
             raise VoxtoolError("fractions of labels are of whole grids, and not of faces: drop "
                                "face_fractions and the window")  # fmt: skip
+        from voxtool.svo.attribution.part_fractions import plan_part_fractions
+
         return plan_part_fractions(mesh, grid, labels=labels, priority=priority, **options)
     if fraction_type is not None or face_fractions:
         name = "face_fractions" if face_fractions else "fraction_type"
@@ -56,6 +62,8 @@ def plan_octree(
     if labels is not None:
         if window is not None:
             raise VoxtoolError("labels take the whole grid: drop the window")
+        from voxtool.svo.attribution.labels import plan_labels
+
         job = plan_labels(
             mesh, grid, mode, labels=labels, priority=priority, fill=fill, gap=gap,
             with_surface=with_surface, device=device, max_memory=max_memory,
@@ -67,6 +75,8 @@ def plan_octree(
         )  # fmt: skip
     if not attributes:
         return job
+    from voxtool.svo.attribution.colours import plan_attributes
+
     return plan_attributes(job, mesh, attributes, colour=colour, max_memory=max_memory)
 
 
