@@ -83,31 +83,53 @@ def cosines(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (np.hypot(along, (a * np.cross(b, c)).sum(axis=-1)) / (x * y * z)).min(axis=0)
 
 
+def decided(holes: NearHoles, side: int, doubt: float) -> np.ndarray:
+    """(bricks, 64) bool: the voxels of a cube of this side that sums without moments decide, with
+    this margin, by bricks and as `voxels_of` orders them."""
+    every = copy(holes._windings[0])
+    every.reach = 1e6  # no triangle is farther away
+    device, bricks = every.device, morton_encode(np.indices((side // 4,) * 3).reshape(3, -1).T)
+    n = len(bricks)
+    inside, left = (device.empty(n, BRICK) for _ in range(2))
+    holes._kernel("decide_bricks")(
+        n, bricks=device.put(bricks), inside=inside, open=left, same=device.empty(n, np.uint8),
+        moments=every._sum_moments(), reach=every.reach, most=1 << 20, doubt=doubt,
+        **holes._arguments,
+    )  # fmt: skip
+    bit = morton_encode(centres((4, 4, 4)) // UNIT)
+    return left.take()[:, None] >> bit & np.uint64(1) == 0
+
+
+def voxels_of(side: int) -> np.ndarray:
+    """(bricks * 64, 3) centres of the voxels of a cube of this side."""
+    corners = 4 * np.indices((side // 4,) * 3).reshape(3, -1).T[:, None]
+    cells = corners + centres((4, 4, 4)) // UNIT
+    return cells.reshape(-1, 3) * UNIT + UNIT // 2
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_single_precision_knows_its_error(device: Device, seed: int) -> None:
     """Without moments, and with any other margin, a voxel that is decided is farther from 1/2 than
     that margin. The margins are the distances of voxels near edges, where errors are large."""
     vertices, faces = soup(seed, 16)
     holes = near_holes(device, vertices, faces, 16)
-    every = copy(holes._windings[0])
-    every.reach = 1e6  # no triangle is farther away
-    bricks = morton_encode(np.indices((4, 4, 4)).reshape(3, -1).T)
-    bit = morton_encode(centres((4, 4, 4)) // UNIT)
-    arguments = {"bricks": device.put(bricks), "moments": every._sum_moments(), **holes._arguments}
-
-    def decided(doubt: float) -> np.ndarray:
-        inside, left = (device.empty(64, BRICK) for _ in range(2))
-        holes._kernel("decide_bricks")(
-            64, inside=inside, open=left, same=device.empty(64, np.uint8), reach=every.reach,
-            most=1 << 20, doubt=doubt, **arguments,
-        )  # fmt: skip
-        return left.take()[:, None] >> bit & np.uint64(1) == 0
-
-    cells = 4 * np.indices((4, 4, 4)).reshape(3, -1).T[:, None] + centres((4, 4, 4)) // UNIT
-    triangles = vertices[faces].astype(np.float64)
-    points = cells.reshape(-1, 3) * UNIT + UNIT // 2
-    distance = np.abs(winding(points, triangles) - 0.5).reshape(64, 64)
-    assert decided(0.0).mean() > 0.95
+    triangles, points = vertices[faces].astype(np.float64), voxels_of(16)
+    distance = np.abs(winding(points, triangles) - 0.5).reshape(-1, 64)
+    assert decided(holes, 16, 0.0).mean() > 0.95
     nearest = np.argsort(cosines(triangles, points))[:80]
     for doubt in distance.ravel()[nearest] + EXACT:
-        assert (distance[decided(doubt)] > doubt - EXACT).all()
+        assert (distance[decided(holes, 16, doubt)] > doubt - EXACT).all()
+
+
+@pytest.mark.parametrize(("count", "size"), [(1, 1.0), (300, 1.0), (300, 2.5)])
+def test_dipoles_know_their_error(device: Device, count: int, size: float) -> None:
+    """Small triangles around bricks, which count as dipoles there, or at the corners alone."""
+    rng = np.random.default_rng(count)
+    vertices = meshes.random_triangles(rng, count, (24,) * 3, size)[0]
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    holes = near_holes(device, vertices, faces, 24)
+    distance = np.abs(winding(voxels_of(24), vertices[faces].astype(np.float64)) - 0.5)
+    assert decided(holes, 24, 0.0).mean() > 0.95
+    for doubt in rng.choice(distance, 60, replace=False) + EXACT:
+        found = decided(holes, 24, doubt).ravel()
+        assert (distance[found] > doubt - EXACT).all()

@@ -16,6 +16,7 @@ import numpy as np
 
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import boundary_of, net_edges
+from voxtool.morton import among
 
 MEETING = 64  # edges at a vertex among which the nearest is sought
 
@@ -75,11 +76,14 @@ def _alone(corners: np.ndarray, edges: np.ndarray) -> np.ndarray:
     on_boundary[edges] = True
     alone = np.asarray(on_boundary[corners].all(axis=1))
     start = corners[alone]
-    sides = (start << 32 | np.roll(start, -1, axis=1)).ravel()
+    left = np.sort(edges[:, 0] << 32 | edges[:, 1])
+    sides = start << 32 | np.roll(start, -1, axis=1)
+    bounding = among(left, sides.ravel()).reshape(-1, 3).all(axis=1)
+    alone[alone] = bounding
+    sides = sides[bounding].ravel()
     order = np.argsort(sides, kind="stable")
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order)) - np.searchsorted(sides[order], sides[order])
-    left = np.sort(edges[:, 0] << 32 | edges[:, 1])
     times = np.searchsorted(left, sides, "right") - np.searchsorted(left, sides)
     alone[alone] = (rank < times).reshape(-1, 3).all(axis=1)
     return alone
@@ -123,36 +127,40 @@ def _halve(first: np.ndarray) -> np.ndarray:
 
 
 def _loops(start: np.ndarray, end: np.ndarray, points: np.ndarray) -> list[list[int]]:
-    """Return the simple loops of directed edges; at every vertex as many edges begin as end.
-    Where loops meet, the walk continues to the vertex nearest to the previous one, which keeps
-    loops small; where more than MEETING vertices follow, to the last one, which keeps it fast."""
-    ahead: dict[int, list[list[int]]] = {}  # the vertices after a vertex, and how many edges lead
+    """Return the simple loops of directed edges; at every vertex as many edges begin as end, and
+    copies of an edge follow each other. Where loops meet, the walk continues to the vertex nearest
+    to the previous one, which keeps loops small; where more than MEETING vertices follow, to the
+    last one, which keeps it fast."""
+    ahead: dict[int, list[int]] = {}  # the vertices after a vertex, one for each edge
     for u, v in zip(start.tolist(), end.tolist(), strict=True):
-        ways = ahead.setdefault(u, [])
-        if ways and ways[-1][0] == v:  # copies follow each other
-            ways[-1][1] += 1
-        else:
-            ways.append([v, 1])
+        ahead.setdefault(u, []).append(v)
+    x, y, z = points.T.tolist()
+
+    def nearest(ways: list[int], to: int) -> int:
+        """Return which of the ways leads to the vertex nearest to another one."""
+        if len(ways) > MEETING and len(set(ways)) > MEETING:
+            return -1
+        a, b, c = x[to], y[to], z[to]
+        apart = [(x[v] - a) ** 2 + (y[v] - b) ** 2 + (z[v] - c) ** 2 for v in ways]
+        return apart.index(min(apart))
+
     loops = []
+    place = [-1] * len(points)  # in the path
     for first in ahead:
-        path, place = [first], {first: 0}
-        while ways := ahead[path[-1]]:
-            chosen = len(ways) - 1
-            if 1 < len(ways) <= MEETING and len(path) > 1:
-                apart = points[[v for v, _ in ways]] - points[path[-2]]
-                chosen = int(np.argmin((apart * apart).sum(axis=1)))
-            vertex, left = ways[chosen]
-            if left == 1:
-                ways.pop(chosen)
-            else:
-                ways[chosen][1] = left - 1
-            if vertex in place:  # a loop is closed
-                loop = path[place[vertex] :]
-                loops.append(loop)
-                del path[place[vertex] + 1 :]
-                for passed in loop[1:]:
-                    del place[passed]
-            else:
+        path = [first]
+        place[first] = 0
+        vertex = first
+        while ways := ahead[vertex]:
+            choose = len(ways) > 1 and len(path) > 1
+            vertex = ways.pop(nearest(ways, path[-2]) if choose else -1)
+            if place[vertex] < 0:
                 place[vertex] = len(path)
                 path.append(vertex)
+                continue
+            loop = path[place[vertex] :]  # it is closed
+            loops.append(loop)
+            del path[place[vertex] + 1 :]
+            for passed in loop[1:]:
+                place[passed] = -1
+        place[first] = -1
     return loops

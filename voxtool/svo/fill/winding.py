@@ -65,10 +65,11 @@ SOURCE = "svo/fill/winding.cl"
 # grow by the fourth root of m to compensate.
 REACHES = ((2.0, 2.0**-6), (4.0, 2.0**-9), (10.0, 2.0**-14), (24.0, 0.0))
 DOUBT = REACHES[0][1]
-MIDDLE = 2  # the reach of numbers in the middle of blocks
+ROUGH, MIDDLE = 1, 2  # the reaches of numbers in the middle of blocks: to examine, and to expand
 LIMIT = 0.5  # of a useful expansion's error
 TAKEN_LEVEL = 4  # of the largest blocks whose bricks are decided by one expansion
 EXPANSION = 20  # numbers
+DIPOLE_FIELDS = 9  # numbers of a triangle
 NONE, SOME, ALL = range(3)  # voxels
 HALF = 0.5 - 2.0**-21  # 1/2 minus the rounding error
 BEYOND_GRID = 1 << 30  # number of a voxel beyond the grid
@@ -78,6 +79,7 @@ HEADERS = {
     "svo/fill/winding.h": program.c_constants(
         BEYOND_GRID=BEYOND_GRID,
         BRICK_LEVEL=BRICK_LEVEL,
+        DIPOLE_FIELDS=DIPOLE_FIELDS,
         EXPANSION=EXPANSION,
         NONE=NONE,
         SOME=SOME,
@@ -119,6 +121,7 @@ class NearHoles:
         self._voxel = unit * 2**FIXED_POINT_BITS  # a voxel's side in the frame
         a, b, c = (unit * points[caps.faces[:, i]] for i in range(3))
         areas = length(cross(b - a, c - a)) / 2
+        dipoles = _dipoles(tree, points[caps.faces] / 2**FIXED_POINT_BITS)
         by_hole = np.add.reduceat(areas, caps.first[:-1] - 2 * np.arange(caps.holes))
         first, edges = _groups(caps, tree.frame.local(points))
         self._may_crowd = tree.count > LEAF * plan.crowd
@@ -138,6 +141,7 @@ class NearHoles:
             "cap_count": tree.count,
             "cap_first_leaf": tree.first_leaf,
             "cap_areas": self._device.put(_sums(tree, areas)),
+            "cap_dipoles": self._device.put(dipoles),
             "hole_nodes": holes.nodes,
             "hole_names": holes.names,
             "hole_count": holes.count,
@@ -195,18 +199,21 @@ class NearHoles:
         expansions = self._expand(blocks[some], level)
         near = np.isfinite(expansions[:, -1])
         some, expansions = some[near], expansions[near]
-        numbers, values = self._middle_numbers(blocks[some], level)
-        expansions[:, -1] += REACHES[MIDDLE][1]
+        middles = blocks[some] << np.uint64(3 * level) | np.uint64(7 << 3 * (level - 1))
+        rest, slope = expansions[:, -1], length(expansions[:, :3]) * self._voxel
+        precise = (rest < slope / 2**level) & (level <= TAKEN_LEVEL)  # those that may be taken
+        numbers, values = self._numbers(middles, None), np.empty(len(some))
+        for reach, these in ((ROUGH, ~precise), (MIDDLE, precise)):
+            values[these] = self._numbers(middles[these], self._windings[reach])
+            rest[these] += REACHES[reach][1]
         counted = meshed[some]
         values[counted] -= numbers[counted]
         low, high = self._ranges(expansions, values, level)
         alike = np.where(counted, (low > -0.5) & (high < 0.5), (low > 0.5) | (high < 0.5))
         as_counted = (low > 0.5) == (numbers >= 1)
-        done = alike & (counted | (~capped[some] & as_counted))
-        rest, slope = expansions[:, -1], length(expansions[:, :3]) * self._voxel
+        done = alike & (counted | (~capped[some] & as_counted)) & (numbers != BEYOND_GRID)
         taken = alike | (rest < slope / 2**level) | ((level == BRICK_LEVEL) & (rest < DOUBT))
         taken &= (numbers != BEYOND_GRID) & (level <= TAKEN_LEVEL) & ~done
-        done &= numbers != BEYOND_GRID
         left = np.ones(len(blocks), bool)
         left[some[done | taken]] = False
         of = (blocks[some[taken]], level, expansions[taken], values[taken], counted[taken])
@@ -226,11 +233,6 @@ class NearHoles:
         codes, met = self._device.put(blocks), self._device.empty(n, np.uint8)
         self._kernel("meet_caps")(n, codes, level, met=met, **self._arguments)
         return met.take() != 0
-
-    def _middle_numbers(self, blocks: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return (n,) float64 numbers N and w(M) at the voxels beyond the middles of blocks."""
-        voxels = blocks << np.uint64(3 * level) | np.uint64(7 << 3 * (level - 1))
-        return self._numbers(voxels, None), self._numbers(voxels, self._windings[MIDDLE])
 
     def _ranges(
         self, expansions: np.ndarray, values: np.ndarray, level: int
@@ -397,6 +399,23 @@ def _groups(caps: Caps, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     lengths = length((values[:, 3:] - values[:, :3]).transpose(0, 2, 1))[:, None]
     inverse = 1 / np.where(lengths > 0, lengths, 1.0) ** 2
     return first.astype(np.uint32), np.concatenate([values, lengths, inverse], axis=1)
+
+
+def _dipoles(tree: TriangleTree, corners: np.ndarray) -> np.ndarray:
+    """Return what kernels need of (F, 3, 3) triangles, in voxels, to count them as dipoles: for
+    each leaf of the tree DIPOLE_FIELDS numbers of its LEAF triangles. They are the x, y, z of the
+    middle and of the area vector, the area, the sum of the corners' squared distances from the
+    middle, and the largest of these distances; zeros where a leaf has fewer triangles."""
+    assert tree.names is not None
+    faces = tree.names.get(0, tree.count) // 3
+    middle = corners.mean(axis=1)
+    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    squares = ((corners - middle[:, None]) ** 2).sum(axis=2)
+    sizes = [length(normal), squares.sum(axis=1), np.sqrt(squares.max(axis=1))]
+    fields = np.column_stack([middle, normal, *sizes])[faces]
+    padded = np.zeros((-(-tree.count // LEAF) * LEAF, DIPOLE_FIELDS))
+    padded[: tree.count] = fields
+    return padded.reshape(-1, LEAF, DIPOLE_FIELDS).transpose(0, 2, 1)
 
 
 def _sums(tree: TriangleTree, values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@
 #include "spatial/arctangent.h"
 
 #define SLACK 0x1p-30 // relative; above all rounding errors
-#define MINOR 0x1p-6 // over the diagonal in voxels: a part of `rest` for which edges are not examined
+#define MINOR 0x1p-4 // over the diagonal in voxels: a part of `rest` for which edges are not examined
 
 // The squared distance between two boxes.
 double gap_between(double3 low, double3 high, double3 other_low, double3 other_high)

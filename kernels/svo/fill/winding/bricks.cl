@@ -7,9 +7,10 @@
 
 // The sums of the caps over a brick; false if more than `most` leaves are near it.
 bool sum_brick(brick_sums *sums, int3 low, double4 frame, CAPS, __global const double *moments,
-               __global const double *cap_areas, double reach, uint most)
+               __global const double *cap_areas, __global const double *cap_dipoles, double reach, uint most)
 {
     const int3 first = low * VOXEL + HALF;
+    const double3 first_voxel = convert_double3(low) + 0.5;
     const double3 p = to_local(low * VOXEL + 2 * VOXEL, frame), p0 = to_local(first, frame);
     const double voxel = VOXEL * frame.w, voxels = 1 / voxel;
     uint ids[STACK], top = 1, leaves = 0;
@@ -46,9 +47,21 @@ bool sum_brick(brick_sums *sums, int3 low, double4 frame, CAPS, __global const d
             }
             if (++leaves > most)
                 return false;
-            const uint leaf = (child + i - cap_first_leaf) * LEAF;
-            for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
-                const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
+            const uint leaf = child + i - cap_first_leaf, at = leaf * LEAF;
+            const dipoles d = dipoles_of(cap_dipoles + (size_t)at * DIPOLE_FIELDS, first_voxel);
+            if (any(d.flat))
+                add_flat(sums, &d);
+            int flat[LEAF], apart[LEAF];
+            vstore4(d.flat, 0, flat);
+            vstore4(d.apart, 0, apart);
+            for (uint k = 0; k < min((uint)LEAF, cap_count - at); ++k) {
+                if (flat[k])
+                    continue;
+                if (apart[k]) {
+                    add_dipole(sums, &d, k);
+                    continue;
+                }
+                const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[at + k] / 3);
                 add_triangle(sums, &t, first);
             }
         }
@@ -61,7 +74,7 @@ bool sum_brick(brick_sums *sums, int3 low, double4 frame, CAPS, __global const d
 // near the brick; same[i] = 1 if none is left, and those inside are those that N >= 1 gives.
 __kernel void decide_bricks(__global const ulong *bricks, const uint n, const double4 frame, CROSSINGS,
                             CAPS, __global const double *moments, __global const double *cap_areas,
-                            const double reach, const uint most, const double doubt,
+                            __global const double *cap_dipoles, const double reach, const uint most, const double doubt,
                             __global ulong *inside, __global ulong *open, __global uchar *same)
 {
     const uint gid = get_global_id(0);
@@ -70,7 +83,7 @@ __kernel void decide_bricks(__global const ulong *bricks, const uint n, const do
     const int3 low = convert_int3(morton_decode(bricks[gid])) << BRICK_LEVEL;
     brick_sums sums = {0};
     const bool summed = sum_brick(&sums, low, frame, cap_names, cap_count, cap_first_leaf, vertices, faces,
-                                  first_cap, moments, cap_areas, reach, most);
+                                  first_cap, moments, cap_areas, cap_dipoles, reach, most);
     float caps[16 * PER_BRICK], doubts[16 * PER_BRICK], far[8];
     for (uint g = 0; g < PER_BRICK; ++g) {
         vstore16(sums.near[g], g, caps);

@@ -11,6 +11,7 @@
 #define MOST_RATIO 0x1p15f // of size to |x| + |y|
 #define ADDED 0x1p-7f   // the same of a sum's rounding, over the sum
 #define DIPOLE 0x1p-10f // the most that a triangle may deviate from a dipole in a brick
+#define FLAT_DIPOLE 0x1p-10f // the most that one may deviate from a linear function there, to be taken for it
 #define SIXTEEN_PI_PARTS 0.02f // over 1 / (16 pi), for rounding errors in a bound
 #define FAR_ERROR 0x1p-20 // winding number of the error of distant_angles16, over area / distance^2
 #define BEYOND 1.5      // over the reach of moments: from there they are summed at voxels, not triangles
@@ -30,6 +31,14 @@ typedef struct {
     float16 far[4], near[PER_BRICK], doubt[PER_BRICK];
     double far_size, error; // far_size: of area / distance^2
 } brick_sums;
+
+// Allow for what is added at the corners: its area / distance^2 and what it bends by. The last part is for
+// the addition, to sums of children apart that are no larger together.
+void count_far(brick_sums *sums, double part, double bend)
+{
+    sums->far_size += part;
+    sums->error += bend + FAR_ERROR * (part + sums->far_size / 32);
+}
 
 // Solid angles of nodes by their moments c[4 ..], seen from places with centres x, y, z away from them
 // [Barill 2018]. At two radii or more, the terms sum to at most 4.4 area / distance^2 in absolute
@@ -108,31 +117,67 @@ float16 angles_of(float16 y, float16 x)
     return y < 0.0f ? -angle : angle;
 }
 
-// Add a triangle of corners v and area vector n as a dipole in its middle; false if it is too near. All
-// in voxels from the brick's first one. The middle takes the first order of the integral of n . r / r^3
-// over the triangle; the second derivatives of this are at most 6 area / r^4, and the squares of the
-// distances from the middle average to a twelfth of their sum over the corners, so that the winding number
-// is wrong by at most area sum / (16 pi r^4). Rounding: as no voxel is nearer than 2 or the triangle's
-// radius, coordinates are at most 5.6 gap. Each coordinate of the middle is off by 24 u gap, the middle by
-// 42 u gap, which changes n . r / r^3 by 84 u area / gap^2; its own roundings are 20 u area / gap^2 at most.
-// Both are 9 u area / gap^2 of a winding number, less than FAR_ERROR.
-bool add_dipole(brick_sums *sums, const float3 *v, float3 n)
+// The triangles of a leaf as dipoles in their middles, seen from a brick; all in voxels. x, y, z: the
+// middles from the brick's first voxel; nx, ny, nz: the area vectors. The middle takes the first order of
+// the integral of n . r / r^3 over a triangle; the second derivatives of this are at most 6 area / r^4, and
+// the squares of the distances from the middle average to a twelfth of their sum over the corners, so that
+// the winding number is wrong by at most area sum / (16 pi r^4), `bound`. Rounding: as no voxel is nearer
+// than 2 or the triangle's radius, coordinates are at most 5.6 gap. Each is off by 24 u gap at most, the
+// place by 42 u gap, which changes n . r / r^3 by 84 u area / gap^2; its own roundings are
+// 20 u area / gap^2 at most. Both are 9 u area / gap^2 of a winding number, less than FAR_ERROR.
+typedef struct {
+    float4 x, y, z, nx, ny, nz;
+    float4 part, bound, bend; // part: area / distance^2; bend: see linear_children
+    int4 apart, flat;         // far enough to be dipoles; that count at the corners alone
+} dipoles;
+
+dipoles dipoles_of(__global const double *leaf, double3 first)
 {
-    const float3 middle = (v[0] + v[1] + v[2]) / 3.0f, way = middle - (float)SPREAD;
-    float sum = 0, most = 0;
-    for (uint i = 0; i < 3; ++i) {
-        const float3 d = v[i] - middle;
-        const float square = d.x * d.x + d.y * d.y + d.z * d.z;
-        sum += square;
-        most = max(most, square);
+    dipoles d = {.x = convert_float4(vload4(0, leaf) - first.x),
+                 .y = convert_float4(vload4(1, leaf) - first.y),
+                 .z = convert_float4(vload4(2, leaf) - first.z),
+                 .nx = convert_float4(vload4(3, leaf)),
+                 .ny = convert_float4(vload4(4, leaf)),
+                 .nz = convert_float4(vload4(5, leaf))};
+    const float4 area = convert_float4(vload4(6, leaf)), squares = convert_float4(vload4(7, leaf));
+    const float4 radius = convert_float4(vload4(8, leaf));
+    const float4 x = d.x - (float)SPREAD, y = d.y - (float)SPREAD, z = d.z - (float)SPREAD;
+    const float4 gap = sqrt(x * x + y * y + z * z) - (float)HALF_DIAGONAL - radius, squared = gap * gap;
+    d.part = area / squared;
+    d.bound = (float)SIXTEEN_PI_PARTS * d.part * squares / squared;
+    d.bend = (float)LINEAR * d.part / squared;
+    d.apart = (gap >= 2.0f) & (gap >= radius) & (d.bound < DIPOLE);
+    d.flat = d.apart & (d.bend < FLAT_DIPOLE);
+    return d;
+}
+
+float16 four_times(float4 v) { return (float16)(v, v, v, v); }
+
+float lane_of(float4 v, uint k) { return k < 2 ? k == 0 ? v.x : v.y : k == 2 ? v.z : v.w; }
+
+// Add the flat ones of a leaf at the corners of a brick.
+void add_flat(brick_sums *sums, const dipoles *d)
+{
+    const float16 x = four_times(d->x) - (float)SPREAD - vload16(0, CORNER_X) * (float)SPREAD;
+    const float16 nx = four_times(d->nx), ny = four_times(d->ny), nz = four_times(d->nz);
+    const int4 none = 0;
+    const int16 counted = (int16)(d->flat, none, d->flat, none);
+    for (uint g = 0; g < 4; ++g) {
+        const float16 y = four_times(d->y) - (g & 1 ? 2 * (float)SPREAD : 0);
+        const float16 z = four_times(d->z) - (g & 2 ? 2 * (float)SPREAD : 0);
+        const float16 square = x * x + y * y + z * z;
+        sums->far[g] += counted ? (nx * x + ny * y + nz * z) / (square * sqrt(square)) : 0.0f;
     }
-    const float area = sqrt(n.x * n.x + n.y * n.y + n.z * n.z), radius = sqrt(most);
-    const float distance = sqrt(way.x * way.x + way.y * way.y + way.z * way.z);
-    const float gap = distance - (float)HALF_DIAGONAL - radius, squared = gap * gap;
-    const float bound = SIXTEEN_PI_PARTS * area * sum / (squared * squared);
-    if (!(gap >= 2.0f && gap >= radius && bound < DIPOLE))
-        return false;
-    sums->error += bound + FAR_ERROR * area / squared;
+    const float4 bends = d->flat ? d->bend + d->bound : 0.0f, parts = d->flat ? d->part : 0.0f;
+    count_far(sums, (parts.x + parts.y) + (parts.z + parts.w), (bends.x + bends.y) + (bends.z + bends.w));
+}
+
+// Add triangle k at the voxels of a brick.
+void add_dipole(brick_sums *sums, const dipoles *d, uint k)
+{
+    const float3 middle = (float3)(lane_of(d->x, k), lane_of(d->y, k), lane_of(d->z, k));
+    const float3 n = (float3)(lane_of(d->nx, k), lane_of(d->ny, k), lane_of(d->nz, k));
+    sums->error += lane_of(d->bound, k) + FAR_ERROR * lane_of(d->part, k);
     for (uint g = 0; g < PER_BRICK; ++g) {
         const float16 x = middle.x - vload16(0, VOXEL_X), y = middle.y - (g & 1) * 2.0f - vload16(0, VOXEL_Y),
                       z = middle.z - (g >> 1) * 2.0f - vload16(0, VOXEL_Z);
@@ -140,7 +185,6 @@ bool add_dipole(brick_sums *sums, const float3 *v, float3 n)
         sums->near[g] += 0.5f * (n.x * x + n.y * y + n.z * z) / (square * sqrt(square));
         sums->doubt[g] += ADDED * fabs(sums->near[g]);
     }
-    return true;
 }
 
 // Add a triangle, as triangle_vectors has it; `first` is the centre of the brick's first voxel.
@@ -158,9 +202,6 @@ void add_triangle(brick_sums *sums, const triangle *t, int3 first)
     float3 v[3];
     for (uint i = 0; i < 3; ++i)
         v[i] = convert_float3(t->v[i] - first) / (float)VOXEL;
-    const long3 n = cross_of(t->v[1] - t->v[0], t->v[2] - t->v[0]);
-    if (add_dipole(sums, v, convert_float3(n) * (0.5f / ((float)VOXEL * VOXEL))))
-        return;
     for (uint g = 0; g < PER_BRICK; ++g) {
         const float16 x = vload16(0, VOXEL_X), y = vload16(0, VOXEL_Y) + (g & 1) * 2.0f,
                       z = vload16(0, VOXEL_Z) + (g >> 1) * 2.0f;
@@ -190,10 +231,7 @@ long8 linear_children(brick_sums *sums, double8 distance, double8 far, double8 r
     const double8 gap = distance - HALF_DIAGONAL - radius, squared = gap * gap;
     const double8 bend = LINEAR * area / (squared * squared);
     const long8 linear = (distance > far + HALF_DIAGONAL) & (gap > 0.0) & (bend < FLAT);
-    const double part = total(linear ? area / squared : 0.0);
-    sums->far_size += part;
-    // the last one for the addition, to sums of children apart that are no larger together
-    sums->error += total(linear ? bend : 0.0) + FAR_ERROR * (part + sums->far_size / 32);
+    count_far(sums, total(linear ? area / squared : 0.0), total(linear ? bend : 0.0));
     return linear;
 }
 
