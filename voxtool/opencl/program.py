@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 _INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
 _C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
 OPTIONS = ["-cl-std=CL1.2"]
-PREAMBLE = "#pragma OPENCL FP_CONTRACT OFF"  # a * b + c is rounded twice on every device
+# a * b + c is rounded twice on every device. NOINLINE is for large functions, which would take long
+# to compile at each place where they are called.
+PREAMBLE = "#pragma OPENCL FP_CONTRACT OFF\n#define NOINLINE __attribute__((noinline))"
 ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # float32, where a device offers it
 LONG = 1.0  # seconds of compiling that a command mentions
 

@@ -39,7 +39,7 @@ void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, d
     bounds->below = shortfall > bounds->below ? shortfall : bounds->below;
 }
 
-double bound_apart(const child_list *list, const ways *at, double8 size, double edge)
+NOINLINE double bound_apart(const child_list *list, const ways *at, double8 size, double edge)
 {
     bounds_apart bounds = {INFINITY, 0, 0};
     double8 distances[KEPT];
@@ -92,7 +92,7 @@ float narrow_above(const float16 *excess_at[8])
 // Upper bounds of the same errors, above and below, in a child that has many triangles, and the largest
 // doubt of a distance: from its rivals, of which one is nearest to each corner. The bound below is
 // general.
-float3 bounds_by_rivals(const rivals *known, const child_corners *c, const float *sizes, float edge)
+NOINLINE float3 bounds_by_rivals(const rivals *known, const child_corners *c, const float *sizes, float edge)
 {
     const narrow_triangles *n = &known->triangles;
     float16 excess[8], least = INFINITY;
@@ -148,7 +148,7 @@ typedef struct {
 //
 // A triangle is no nearer than its plane. So on one side of it, the distance to the triangle grows by
 // no more than its largest excess over that to the plane at a corner: by 0 over the face.
-void bound_children_by(const narrow_triangles *n, int16 bits, const bounded_block *block,
+NOINLINE void bound_children_by(const narrow_triangles *n, int16 bits, const bounded_block *block,
                        float edge, float *above, float *below)
 {
     float16 distance[27], excess[27], height[27], beyond[27];
@@ -190,7 +190,7 @@ void bound_children_by(const narrow_triangles *n, int16 bits, const bounded_bloc
 }
 
 // Sets the bounds of a block's children from its list; edge: of a child.
-void bound_children(const child_list *list, float edge, bounded_block *block)
+NOINLINE void bound_children(const child_list *list, float edge, bounded_block *block)
 {
     float above[8], below[8];
     for (uint k = 0; k < 8; ++k)
@@ -214,7 +214,7 @@ void bound_children(const child_list *list, float edge, bounded_block *block)
 // most `farthest`. If all normals are within an angle of the first, so is the direction to the
 // nearest point. Each distance is then the distance to a triangle's plane, divided by a cosine of
 // at least that of twice the angle.
-double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
+NOINLINE double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
 {
     double3 axis = 0;
     double cosine = 1, apart = 0;

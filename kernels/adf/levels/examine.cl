@@ -84,7 +84,7 @@ double8 interpolated_at(const child_cell *c, uint k)
 // The largest interpolation error at eight of a cell's samples, computed from the triangles of a
 // child's list. The interpolation supplies the sign where it is uncertain, or where the distance is
 // so large that the whole cell is on one side.
-double sample_error(const child_list *list, const child_cell *c, uint k)
+NOINLINE double sample_error(const child_list *list, const child_cell *c, uint k)
 {
     const scene_of_lists *scene = &list->scene;
     const ways points = samples_of(c, k);
@@ -130,7 +130,7 @@ void sample_all(const child_list *list, child_cell *c, double tolerance, uint th
 
 // As sample_all, of a child that no triangle passes, from distances in single precision; returns
 // false if these do not decide whether the error exceeds the tolerance.
-bool samples_decide(const child_list *list, child_cell *c, double tolerance)
+NOINLINE bool samples_decide(const child_list *list, child_cell *c, double tolerance)
 {
     const float3 centre = c->at.centre;
     const float edge = (float)c->edge;
@@ -168,7 +168,7 @@ bool samples_decide(const child_list *list, child_cell *c, double tolerance)
 
 // An upper bound of what bound_apart returns, and the largest doubt: from the block's list or, if that
 // is long, from the child's rivals.
-float2 narrow_bound(const child_list *list, const child_cell *c, bounded_block *block)
+NOINLINE float2 narrow_bound(const child_list *list, const child_cell *c, bounded_block *block)
 {
     const float edge = (float)c->edge;
     if (list->end - list->begin >= LONG) {

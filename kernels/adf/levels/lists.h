@@ -183,7 +183,7 @@ triangle triangles_of(__global const double *leaves, const uint *slots)
 
 // The winding numbers at the middles of eight faces, on the sides of the faces on which eight points
 // lie; NAN where they are unknown. The faces are those of the triangles at these indices of the lists.
-double8 numbers_beside(const scene_of_lists *scene, long8 which, const ways *points)
+NOINLINE double8 numbers_beside(const scene_of_lists *scene, long8 which, const ways *points)
 {
     long place[8], feature_of[8];
     double front[8], x[8], y[8], z[8];

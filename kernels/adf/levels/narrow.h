@@ -47,7 +47,7 @@ float16 shuffled(float8 a, float8 b)
 }
 
 // The triangles of sixteen slots, one per lane: rows become columns in four perfect shuffles.
-narrow_triangles sixteen_narrow(const scene_of_lists *scene, const uint *slots, float3 centre,
+NOINLINE narrow_triangles sixteen_narrow(const scene_of_lists *scene, const uint *slots, float3 centre,
                                 float radius)
 {
     float16 rows[NARROW], columns[NARROW];

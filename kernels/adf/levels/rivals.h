@@ -65,7 +65,7 @@ typedef struct {
 
 // Finds the rivals in a child of a block; places and sided: the triangles nearest to the block's
 // vertices, of all and of those with a side.
-void find_rivals(const child_list *list, const child_corners *c, __global const uint *places,
+NOINLINE void find_rivals(const child_list *list, const child_corners *c, __global const uint *places,
                  __global const uint *sided, float edge, rivals *known)
 {
     known->many = list->count > FEW || list->end - list->begin >= LONG;
@@ -129,7 +129,7 @@ void keep(child_list *list, uint place, uint next, int16 needed)
 }
 
 // Removes the triangles from the list that are nowhere nearest in the child.
-void prune(child_list *list, const child_corners *c, const rivals *known, float edge)
+NOINLINE void prune(child_list *list, const child_corners *c, const rivals *known, float edge)
 {
     if (!known->many)
         return;

@@ -93,7 +93,7 @@ int16 sided_at(const scene_of_lists *scene, uint place, uint end)
 // The triangles of a list with a side that are nearest to the centres of the children, by distances in
 // single precision, and upper bounds of the least distances to all. Puts balls about the bundles of a
 // long list; leaves the triangles of a list of up to sixteen in `seen`.
-void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float3 centre, float edge,
+NOINLINE void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float3 centre, float edge,
                         const bundles *all, about_middles *seen, uint *nearest_of, float *least_of)
 {
     float16 least[8], least_sided[8];
@@ -145,7 +145,7 @@ float16 distances_to_vertices(const narrow_triangles *n, const block_vertices *b
 }
 
 // Sets the rivals, each triangle once.
-void set_rivals(const scene_of_lists *scene, const uint *nearest_of, float3 centre, float edge,
+NOINLINE void set_rivals(const scene_of_lists *scene, const uint *nearest_of, float3 centre, float edge,
                 block_vertices *block)
 {
     block->count = 0;
@@ -193,7 +193,7 @@ tangents tangents_at(float16 d, const narrow_ways *way, float16 doubt, float edg
 }
 
 // The triangles that a child needs; in a short list also those that may be nearest to one of its corners.
-int16 needed_by(uint child, const tangents *at, const block_vertices *block, int16 *near)
+NOINLINE int16 needed_by(uint child, const tangents *at, const block_vertices *block, int16 *near)
 {
     float16 corners[8];
     int16 open = 0;
@@ -249,7 +249,7 @@ void bundles_near_vertices(const bundles *all, uint bundle, const block_vertices
 }
 
 // Updates the nearest triangles at these vertices, a bit each, with a bundle.
-void look_at_bundle(const scene_of_lists *scene, uint place, uint end, const narrow_triangles *n,
+NOINLINE void look_at_bundle(const scene_of_lists *scene, uint place, uint end, const narrow_triangles *n,
                     uint vertices, const ways *points, block_vertices *block, nearest *found)
 {
     const uint count = min(end - place, 16u);
@@ -279,7 +279,7 @@ void look_at_bundle(const scene_of_lists *scene, uint place, uint end, const nar
 
 // Updates the nearest triangles at the vertices with the triangle at an index of the lists, where it
 // may be nearer.
-void look_at_vertices(const scene_of_lists *scene, uint place, float3 centre, float edge,
+NOINLINE void look_at_vertices(const scene_of_lists *scene, uint place, float3 centre, float edge,
                       const ways *points, block_vertices *block, nearest *found)
 {
     const uint slot = scene->items[place];
