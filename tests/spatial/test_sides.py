@@ -17,7 +17,7 @@ def test_without_a_boundary_the_number_is_that_of_the_shell(device) -> None:
     balls = [mesh_from_arrays(vertices + np.array([x, 0.0, 0.0]), faces) for x in (0.0, 1.0)]
     mesh = mesh_from_arrays(*shapes.join(*((ball.vertices, ball.faces) for ball in balls)))
     survey = Survey(mesh, device, True)
-    sides = find_sides(mesh, survey._normals, survey.winding, survey.tree, survey.crossed)
+    sides = find_sides(mesh, survey.normals, survey.winding, survey.tree, survey.crossed)
     assert not len(sides.spheres)
     known = np.isfinite(sides.front)
     assert 0 < np.count_nonzero(~known) < len(known) / 4  # where the balls intersect

@@ -12,6 +12,7 @@ from voxtool.adf.field import DistanceField
 from voxtool.errors import MeshError
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
+from voxtool.spatial.pseudonormals import Pseudonormals
 from voxtool.spatial.sampling import SurfaceSampler, sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
 
@@ -20,9 +21,14 @@ NEAR = 1 / 64  # sides, along each axis: the largest offset of points near the s
 
 
 def measure_errors(
-    field: DistanceField, mesh: Mesh, device: Device | None = None, samples: int = SAMPLES
+    field: DistanceField,
+    mesh: Mesh,
+    device: Device | None = None,
+    samples: int = SAMPLES,
+    normals: Pseudonormals | None = None,
 ) -> dict[str, Any]:
-    """Return the errors of a field at points throughout its cube, and near the surface.
+    """Return the errors of a field at points throughout its cube, and near the surface; `normals`
+    are the pseudo-normals of the mesh, if they are known.
 
     Points near the surface are uniform by area, and moved along each axis by up to NEAR sides
     (spatial/sampling.py); there are none if no face has an area. Points in leaves with a sign
@@ -30,7 +36,7 @@ def measure_errors(
     cube" and "near the surface", each with "points", their number; "max", "rms" and "p99", the 99th
     percentile, in sides of the cube; "within", the share of errors within the tolerance.
     """
-    exact = SignedDistance(mesh, field.sign, device)
+    exact = SignedDistance(mesh, field.sign, device, normals)
     unit = sample_cube(samples)
     errors = {"in the cube": _errors(field, np.array(field.origin) + field.side * unit, exact)}
     with contextlib.suppress(MeshError):  # segments and points have no surface

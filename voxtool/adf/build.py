@@ -150,7 +150,8 @@ class FieldJob(Job["DistanceField"]):
         if not self._plan.measure:
             return field
         with self.stage("errors"):
-            errors = measure_errors(field, self._survey.mesh, self._survey.device)
+            survey = self._survey
+            errors = measure_errors(field, survey.mesh, survey.device, normals=survey.normals)
         return replace(field, reached={**field.reached, "errors": errors})
 
     def findings(self, result: DistanceField) -> Iterator[str]:

@@ -4,6 +4,7 @@ the data that separate inside from outside."""
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +19,7 @@ from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT, SCAN
 from voxtool.spatial.bvh import SOURCE as TREE
 from voxtool.spatial.bvh import Frame, build_tree, distinct_faces
-from voxtool.spatial.pseudonormals import Pseudonormals, pseudonormals
+from voxtool.spatial.pseudonormals import Pseudonormals, face_normals, pseudonormals
 from voxtool.spatial.self_intersections import SOURCE as SELF_INTERSECTIONS
 from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
 from voxtool.spatial.sides import find_sides, shells_agree
@@ -32,40 +33,40 @@ REACH = 2.0  # of winding numbers: an error of 5e-3 is enough for signs, in half
 class Survey:
     """A mesh on the device, ready for the construction of a field.
 
-    signed: whether distances have a sign; tree: the triangles, in the mesh's own frame; flat:
-    number of triangles without area; crossed: (F,) bool, faces that intersect or repeat others, or
-    may; undecided: number of those that may; closed: True if the mesh is closed, consistently
-    wound and free of self-intersections, and its shells agree on what is inside; extent: half of
-    the cube's side, in the frame; misplaced: upper bound of the distance, in sides, by which
-    rounding moves a point.
+    signed: whether distances have a sign; normals: the pseudo-normals, if they have; tree: the
+    triangles, in the mesh's own frame; flat: number of triangles without area; crossed: (F,) bool,
+    faces that intersect or repeat others, or may; undecided: number of those that may; closed: True
+    if the mesh is closed, consistently wound and free of self-intersections, and its shells agree
+    on what is inside; extent: half of the cube's side, in the frame; misplaced: upper bound of the
+    distance, in sides, by which rounding moves a point.
     """
 
     def __init__(self, mesh: Mesh, device: Device, signed: bool) -> None:
         self.mesh, self.device, self.signed = mesh, device, signed
         self.crossed = np.zeros(len(mesh.faces), bool)
         self.flat, self.undecided, self.closed = 0, 0, False
+        self.normals: Pseudonormals | None = None
         programs: list[Request] = [(TREE, {}), (RADIX_SORT, {"KEY": "ulong"}), (SCAN, {})]
         device.prepare(*programs, *[(SELF_INTERSECTIONS, {}), (WATERTIGHT, {})] * signed)
         if signed:
-            normals = self._normals
-            self.flat = int(np.count_nonzero(normals.flat))
-            self.tree = build_tree(device, mesh, normals.flat, distinct_faces(mesh))
-            found = find_self_intersections(device, mesh, self.tree)
+            with ThreadPoolExecutor(1) as beside:  # the host works beside itself and the device
+                distinct = beside.submit(distinct_faces, mesh)
+                faces = face_normals(mesh)
+                summed = beside.submit(pseudonormals, mesh, faces)
+                self.tree = build_tree(device, mesh, faces.flat, distinct.result())
+                found = find_self_intersections(device, mesh, self.tree)
+            self.flat, self.normals = int(np.count_nonzero(faces.flat)), summed.result()
             twins = twins_of(mesh)
             if twins is not None:
                 found[np.bincount(twins)[twins] > 1] = 1
             self.crossed = found != 0
             self.undecided = int(np.count_nonzero(found == UNDECIDED))
             self.closed = default_sign(mesh, device) == "pseudonormal" and not self.crossed.any()
-            self.closed = self.closed and shells_agree(mesh, normals, device, self.tree)
+            self.closed = self.closed and shells_agree(mesh, self.normals, device, self.tree)
         else:
             self.tree = build_tree(device, mesh, None, distinct_faces(mesh))
         self.extent = _extent(mesh, self.tree.frame)
         self.misplaced = _misplaced(*cube_of(mesh))
-
-    @cached_property
-    def _normals(self) -> Pseudonormals:
-        return pseudonormals(self.mesh)
 
     @cached_property
     def winding(self) -> WindingNumber:
@@ -76,17 +77,18 @@ class Survey:
     def arguments(self) -> dict[str, Any]:
         """Kernel arguments by name: the triangles, and pseudo-normals where signs are computed."""
         named = {"leaves": self.tree.leaves, "extent": self.extent}
-        if self.signed:
+        if self.normals:
             named["names"] = self.tree.names
-            named["features"] = self.device.put(self._normals.features)
-            named["normals"] = self.device.put(self._normals.normals)
+            named["features"] = self.device.put(self.normals.features)
+            named["normals"] = self.device.put(self.normals.normals)
         return named
 
     @cached_property
     def winding_arguments(self) -> dict[str, Any]:
         """Kernel arguments by name: winding numbers beside faces, and spheres about the boundary;
         see Sides."""
-        sides = find_sides(self.mesh, self._normals, self.winding, self.tree, self.crossed)
+        assert self.normals  # signs alone need winding numbers
+        sides = find_sides(self.mesh, self.normals, self.winding, self.tree, self.crossed)
         put = self.device.put
         return {
             "front": put(sides.front),

@@ -77,8 +77,22 @@ def normal_bytes(faces: int) -> int:
     return faces * (7 * 4 + 3 * 24)
 
 
-def pseudonormals(mesh: Mesh) -> Pseudonormals:
-    """Return the pseudo-normals of a mesh; raises as Frame.of."""
+@dataclass(frozen=True, eq=False)
+class FaceNormals:
+    """What the faces of a mesh add to pseudo-normals.
+
+    flat : (F,) uint8, as of Pseudonormals.
+    normals : (F, 3) float64, unit vectors; 0 where a face is flat.
+    angles : (F, 3) float64 at the corners, radians.
+    """
+
+    flat: np.ndarray
+    normals: np.ndarray
+    angles: np.ndarray
+
+
+def face_normals(mesh: Mesh) -> FaceNormals:
+    """Return the normals and angles of the faces of a mesh; raises as Frame.of."""
     vertices, n = np.ldexp(mesh.vertices, -Frame.of(mesh).exponent), len(mesh.faces)
     flat, normals, angles = np.empty(n, bool), np.empty((n, 3)), np.empty((n, 3))
     for begin in range(0, n, AT_ONCE):
@@ -88,21 +102,29 @@ def pseudonormals(mesh: Mesh) -> Pseudonormals:
         normals[some], angles[some] = _normals_and_angles(triangles)
     flat |= (normals == 0).all(axis=1)
     normals[flat] = 0
+    return FaceNormals(flat.astype(np.uint8), normals, angles)
+
+
+def pseudonormals(mesh: Mesh, faces: FaceNormals | None = None) -> Pseudonormals:
+    """Return the pseudo-normals of a mesh, from its face_normals if they are known; raises as
+    Frame.of."""
+    faces = faces or face_normals(mesh)
+    n = len(mesh.faces)
     corners = mesh.positions[mesh.faces]
     sides = edges_of(corners)[0].reshape(-1, 3)
     twins = twins_of(mesh)
     planes = (np.arange(n) if twins is None else twins).reshape(-1, 1)
     parts, rows, first = [], [], 0
     for feature, weights in (
-        (planes, np.ones((len(flat), 1))),
-        (sides, np.ones((len(flat), 3))),
-        (corners, angles),
+        (planes, np.ones((n, 1))),
+        (sides, np.ones((n, 3))),
+        (corners, faces.angles),
     ):
-        parts.append(_sums(feature, weights, normals))
+        parts.append(_sums(feature, weights, faces.normals))
         rows.append(first + feature)
         first += len(parts[-1])
     features = np.concatenate(rows, axis=1).astype(np.uint32)
-    return Pseudonormals(flat.astype(np.uint8), features, np.concatenate(parts))
+    return Pseudonormals(faces.flat, features, np.concatenate(parts))
 
 
 def _sums(feature: np.ndarray, weights: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ from voxtool.spatial.distance import (
 from voxtool.spatial.distance import SOURCE as DISTANCE
 from voxtool.spatial.insides import SOURCE as INSIDES
 from voxtool.spatial.insides import insides
-from voxtool.spatial.pseudonormals import normal_bytes, pseudonormals
+from voxtool.spatial.pseudonormals import Pseudonormals, normal_bytes, pseudonormals
 from voxtool.spatial.winding_number import WindingNumber, moment_bytes
 
 if TYPE_CHECKING:
@@ -95,9 +95,16 @@ def distance_bytes(faces: int, sign: str) -> int:
 
 
 class SignedDistance:
-    """The signed distance to a mesh, for many calls; see voxtool.SignedDistance."""
+    """The signed distance to a mesh, for many calls; see voxtool.SignedDistance. `normals` are its
+    pseudo-normals, if they are known."""
 
-    def __init__(self, mesh: Mesh, sign: str | None = None, device: Device | None = None) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        sign: str | None = None,
+        device: Device | None = None,
+        normals: Pseudonormals | None = None,
+    ) -> None:
         if sign is not None and sign not in SIGNS:
             raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
         self.device = device or default_device()
@@ -105,7 +112,7 @@ class SignedDistance:
         self.sign = sign or default_sign(mesh, self.device)
         name, size = f"distance, sign {self.sign}", distance_bytes(len(mesh.faces), self.sign)
         self._distance, self._winding = self.device.keep(
-            mesh, name, size, lambda: _measures(mesh, self.sign, self.device)
+            mesh, name, size, lambda: _measures(mesh, self.sign, self.device, normals)
         )
 
     @overload
@@ -188,14 +195,13 @@ class SignedDistance:
 
 
 def _measures(
-    mesh: Mesh, sign: str, device: Device
+    mesh: Mesh, sign: str, device: Device, normals: Pseudonormals | None
 ) -> tuple[TriangleDistance, WindingNumber | None]:
     """Return the tree and the moments that a sign needs, without a reference to the mesh."""
-    normals = None
-    if sign == "pseudonormal":
-        with device.stage("pseudo-normals"):
-            normals = pseudonormals(mesh)
-    distance = TriangleDistance(mesh, device, normals=normals)
-    if sign != "winding":
-        return distance, None
-    return distance, WindingNumber(mesh, device, tree=distance.tree)
+    if sign != "pseudonormal":
+        distance = TriangleDistance(mesh, device)
+        moments = WindingNumber(mesh, device, tree=distance.tree) if sign == "winding" else None
+        return distance, moments
+    with device.stage("pseudo-normals"):
+        normals = normals or pseudonormals(mesh)
+    return TriangleDistance(mesh, device, normals=normals), None
