@@ -25,6 +25,8 @@ ARGS ?=
 DEVICE ?= gpu
 # With it each process of the tests, hundreds, would compile the package and the tests anew.
 unexport PYTHONDONTWRITEBYTECODE
+# The processes of the tests share the cores, and numpy's threads for matrices spin while they wait.
+export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo quick test soak fuzz gpu-report lint docs headers clean
 
