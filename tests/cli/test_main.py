@@ -14,10 +14,22 @@ from pathlib import Path
 
 import click
 import h5py
+import meshes
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, on_terminal, process, run, screen, told
+from helpers_cli import (
+    ENVIRONMENT,
+    MODULE,
+    fail,
+    invoke,
+    on_terminal,
+    process,
+    run,
+    screen,
+    told,
+    write_obj,
+)
 
 from voxtool.cli import main, options
 from voxtool.cli.options import output_of
@@ -114,6 +126,28 @@ def test_start_up_imports_nothing_heavy(arguments) -> None:
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, check=True, capture_output=True)
+
+
+def test_a_plain_solid_imports_what_it_needs(tmp_path) -> None:
+    """Of a mesh with a hole, by --fill auto, whose rule needs no comparison."""
+    vertices, faces = meshes.icosphere(2, (0.0, 0.0, 0.0), 1.0)
+    write_obj(tmp_path / "open.obj", vertices, faces[1:])
+    code = (
+        "import os, sys; from voxtool.__main__ import main\n"
+        "sys.argv[1:] = ['voxelize', 'open.obj', '--dim', '16', '--mode', 'solid']\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "absent = {'numpy.ma', 'voxtool.cli.workers'}\n"
+        "absent |= {'voxtool.svo.attribution.colours', 'voxtool.svo.attribution.fraction'}\n"
+        "absent |= {'voxtool.svo.attribution.labels', 'voxtool.svo.choosing'}\n"
+        "absent |= {'voxtool.svo.thin', 'voxtool.svo.query'}\n"
+        "absent |= {'voxtool.svo.fill.flood', 'voxtool.files.gltf', 'voxtool.files.threemf'}\n"
+        "found = absent & set(sys.modules)\n"
+        "assert not found, found\n"
+        "assert os.environ['OPENBLAS_NUM_THREADS'] == '1'"
+    )
+    environment = {k: v for k, v in ENVIRONMENT.items() if k != "OPENBLAS_NUM_THREADS"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, cwd=tmp_path)
 
 
 # ---- usage

@@ -49,7 +49,7 @@ class Survey:
         programs: list[Request] = [(TREE, {}), (RADIX_SORT, {"KEY": "ulong"}), (SCAN, {})]
         device.prepare(*programs, *[(SELF_INTERSECTIONS, {}), (WATERTIGHT, {})] * signed)
         if signed:
-            with ThreadPoolExecutor(1) as beside:  # the host works beside itself and the device
+            with ThreadPoolExecutor(1) as beside:  # numpy works beside this thread and the device
                 distinct = beside.submit(distinct_faces, mesh)
                 faces = face_normals(mesh)
                 summed = beside.submit(pseudonormals, mesh, faces)
@@ -87,7 +87,7 @@ class Survey:
     def winding_arguments(self) -> dict[str, Any]:
         """Kernel arguments by name: winding numbers beside faces, and spheres about the boundary;
         see Sides."""
-        assert self.normals  # signs alone need winding numbers
+        assert self.normals  # only fields with signs ask for winding numbers
         sides = find_sides(self.mesh, self.normals, self.winding, self.tree, self.crossed)
         put = self.device.put
         return {

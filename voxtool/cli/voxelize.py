@@ -153,8 +153,6 @@ def command(
         raise click.UsageError("--labels: not with --dag and --thin: drop them")
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.attribution.request import kept_for, plan_octree
-    from voxtool.svo.merged import MergedOctree
-    from voxtool.svo.thin import plan_thin
 
     run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
     if dask and run.file_format != "svo.h5":
@@ -196,8 +194,12 @@ def command(
         else:
             octree = run.job(job, ("thin",) * thin + ("merge subtrees",) * dag, **placed)
             if thin:
+                from voxtool.svo.thin import plan_thin
+
                 octree = run.job(run.stage("thin", plan_thin, octree), ("merge subtrees",) * dag)
             if dag:
+                from voxtool.svo.merged import MergedOctree
+
                 octree = run.stage("merge subtrees", MergedOctree.of, octree)
             if run.file_format in EXPORTS:
                 run.write(export, octree)
@@ -279,11 +281,11 @@ def attributes_of(octree: Any) -> dict[str, Any]:
 def volumes_of(octree: Any) -> dict[str, float]:
     """Return the volume of an octree with fractions, and that of its mesh if it is one solid, in
     cubic world units."""
+    if octree.mode != f"solid+{FRACTION}":
+        return {}
     from voxtool.svo.attribution.fraction import MESH_VOLUME
     from voxtool.svo.stored_volume import stored_volume
 
-    if octree.mode != f"solid+{FRACTION}":
-        return {}
     voxels = {"volume": stored_volume(octree)}
     if MESH_VOLUME in octree.plan:
         voxels["mesh_volume"] = octree.plan[MESH_VOLUME]
@@ -292,11 +294,9 @@ def volumes_of(octree: Any) -> dict[str, float]:
 
 def report_line(octree: Octree | BlockOctree | MergedOctree) -> str:
     """Return the line of the report."""
-    from voxtool.svo.merged import MergedOctree
-
-    size = human(octree.nbytes)
-    if isinstance(octree, MergedOctree):
-        size = f"{human(octree.merged_bytes)}, merged from {size}"
+    size, merged = human(octree.nbytes), getattr(octree, "merged_bytes", None)  # of MergedOctree
+    if merged is not None:
+        size = f"{human(merged)}, merged from {size}"
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     volumes = volumes_of(octree)
     named = {"volume": "; volume", "mesh_volume": ", of the mesh"}
