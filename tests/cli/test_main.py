@@ -129,7 +129,8 @@ def test_start_up_imports_nothing_heavy(arguments) -> None:
 
 
 def test_a_plain_solid_imports_what_it_needs(tmp_path) -> None:
-    """Of a mesh with a hole, by --fill auto, whose rule needs no comparison."""
+    """A mesh with a hole, for which --fill auto compares no rules, needs no modules of attributes,
+    floods, workers and other formats."""
     vertices, faces = meshes.icosphere(2, (0.0, 0.0, 0.0), 1.0)
     write_obj(tmp_path / "open.obj", vertices, faces[1:])
     code = (

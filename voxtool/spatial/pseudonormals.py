@@ -79,7 +79,7 @@ def normal_bytes(faces: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class FaceNormals:
-    """What the faces of a mesh add to pseudo-normals.
+    """The normals and angles of the faces of a mesh, which pseudo-normals are summed from.
 
     flat : (F,) uint8, as of Pseudonormals.
     normals : (F, 3) float64, unit vectors; 0 where a face is flat.

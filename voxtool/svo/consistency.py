@@ -1,4 +1,4 @@
-"""Whether a mesh defines an inside by the directions of its faces.
+"""The test whether a mesh defines an inside by the directions of its faces.
 
 A mesh is consistent if edges of two faces agree, none of the boundary has more than one face, and
 every part that vertices connect, its holes closed, encloses a volume with its faces outward.

@@ -119,9 +119,10 @@ class NearHoles:
         holes = build_tree(self._device, _boxes(points, caps), np.zeros(caps.holes, np.uint8))
         unit = float(np.ldexp(1.0, -tree.frame.exponent))
         self._voxel = unit * 2**FIXED_POINT_BITS  # a voxel's side in the frame
-        a, b, c = (unit * points[caps.faces[:, i]] for i in range(3))
-        areas = length(cross(b - a, c - a)) / 2
-        dipoles = _dipoles(tree, points[caps.faces] / 2**FIXED_POINT_BITS)
+        corners = points[caps.faces] / 2**FIXED_POINT_BITS  # voxels
+        a, b, c = corners.swapaxes(0, 1)
+        normals = cross(b - a, c - a) / 2
+        areas = self._voxel**2 * length(normals)
         by_hole = np.add.reduceat(areas, caps.first[:-1] - 2 * np.arange(caps.holes))
         first, edges = _groups(caps, tree.frame.local(points))
         self._may_crowd = tree.count > LEAF * plan.crowd
@@ -141,7 +142,7 @@ class NearHoles:
             "cap_count": tree.count,
             "cap_first_leaf": tree.first_leaf,
             "cap_areas": self._device.put(_sums(tree, areas)),
-            "cap_dipoles": self._device.put(dipoles),
+            "cap_dipoles": self._device.put(_dipoles(tree, corners, normals)),
             "hole_nodes": holes.nodes,
             "hole_names": holes.names,
             "hole_count": holes.count,
@@ -401,18 +402,17 @@ def _groups(caps: Caps, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first.astype(np.uint32), np.concatenate([values, lengths, inverse], axis=1)
 
 
-def _dipoles(tree: TriangleTree, corners: np.ndarray) -> np.ndarray:
-    """Return what kernels need of (F, 3, 3) triangles, in voxels, to count them as dipoles: for
-    each leaf of the tree DIPOLE_FIELDS numbers of its LEAF triangles. They are the x, y, z of the
-    middle and of the area vector, the area, the sum of the corners' squared distances from the
-    middle, and the largest of these distances; zeros where a leaf has fewer triangles."""
+def _dipoles(tree: TriangleTree, corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return the triangles of each leaf of a tree as dipoles, (leaves, DIPOLE_FIELDS, LEAF)
+    float64, from (F, 3, 3) corners and (F, 3) area vectors, in voxels. The fields are the x, y, z
+    of the middle and of the area vector, the area, and of the distances from the middle to the
+    corners the sum of the squares and the maximum. A leaf with fewer triangles is filled with 0."""
     assert tree.names is not None
     faces = tree.names.get(0, tree.count) // 3
     middle = corners.mean(axis=1)
-    normal = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     squares = ((corners - middle[:, None]) ** 2).sum(axis=2)
-    sizes = [length(normal), squares.sum(axis=1), np.sqrt(squares.max(axis=1))]
-    fields = np.column_stack([middle, normal, *sizes])[faces]
+    sizes = [length(normals), squares.sum(axis=1), np.sqrt(squares.max(axis=1))]
+    fields = np.column_stack([middle, normals, *sizes])[faces]
     padded = np.zeros((-(-tree.count // LEAF) * LEAF, DIPOLE_FIELDS))
     padded[: tree.count] = fields
     return padded.reshape(-1, LEAF, DIPOLE_FIELDS).transpose(0, 2, 1)

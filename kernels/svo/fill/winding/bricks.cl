@@ -74,7 +74,8 @@ bool sum_brick(brick_sums *sums, int3 low, double4 frame, CAPS, __global const d
 // near the brick; same[i] = 1 if none is left, and those inside are those that N >= 1 gives.
 __kernel void decide_bricks(__global const ulong *bricks, const uint n, const double4 frame, CROSSINGS,
                             CAPS, __global const double *moments, __global const double *cap_areas,
-                            __global const double *cap_dipoles, const double reach, const uint most, const double doubt,
+                            __global const double *cap_dipoles, const double reach, const uint most,
+                            const double doubt,
                             __global ulong *inside, __global ulong *open, __global uchar *same)
 {
     const uint gid = get_global_id(0);
