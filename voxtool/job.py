@@ -203,6 +203,13 @@ class Job(ABC, Generic[Result]):
         """Remarks on a result that are no warnings, one line each."""
         return ()
 
+    def settle(self) -> None:
+        """Decide now what is left open until the job runs, so that its plan can be printed."""
+
+    def doubts(self, result: Result) -> Iterable[str]:
+        """Remarks on decisions about the input that another tool may take otherwise, of `notes`."""
+        return ()
+
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Name the stage to which the work in this block belongs."""

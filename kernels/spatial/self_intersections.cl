@@ -198,3 +198,89 @@ __kernel void find_self_intersections(const uint n, __global const uint *names, 
     }
     found[own] = 0;
 }
+
+// ---- crossings of shells
+
+// The side of a triangle's plane on which a point lies: 1, -1, or 0 if it is as near as rounding.
+int side_of(const double3 *t, double3 p)
+{
+    const double3 a = t[1] - t[0], b = t[2] - t[0], c = p - t[0];
+    const double3 n = cross_of(a, b);
+    const double volume = product(n, c);
+    const double size = (fabs(a.x) + fabs(a.y) + fabs(a.z)) * (fabs(b.x) + fabs(b.y) + fabs(b.z)) *
+                        (fabs(c.x) + fabs(c.y) + fabs(c.z));
+    return fabs(volume) <= 0x1p-48 * size ? 0 : volume > 0 ? 1 : -1;
+}
+
+// Whether an edge of triangle u passes through triangle t, clear of its edges.
+bool pierced(const double3 *t, const double3 *u)
+{
+    int side[3];
+    for (uint i = 0; i < 3; ++i)
+        side[i] = side_of(t, u[i]);
+    for (uint i = 0; i < 3; ++i) {
+        const uint j = (i + 1) % 3;
+        if (side[i] * side[j] >= 0)
+            continue;
+        int around = 0;
+        for (uint k = 0; k < 3; ++k) {
+            const double3 v[3] = {u[i], u[j], t[k]};
+            around += side_of(v, t[(k + 1) % 3]);
+        }
+        if (around == 3 || around == -3)
+            return true;
+    }
+    return false;
+}
+
+// found[CROSSED gid ..] = the numbers, plus 1, of other shells that a face crosses, up to CROSSED of
+// them; `of` is the shell of each face.
+__kernel void list_crossing_shells(const uint n, __global const uint *names,
+                                   __global const double *vertices, __global const int *faces,
+                                   __global const int *of, __global const float *nodes,
+                                   const uint first_leaf, __global int *found)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint own = names[gid] / 3;
+    double3 t[3], low = INFINITY, high = -INFINITY;
+    for (uint i = 0; i < 3; ++i) {
+        t[i] = corner(vertices, faces, own, i);
+        low = fmin(low, t[i]);
+        high = fmax(high, t[i]);
+    }
+    uint ids[STACK], top = 1, listed = 0;
+    ids[0] = 0;
+    while (top > 0) {
+        const uint id = ids[--top];
+        for (uint i = 0; i < ARITY; ++i) {
+            __global const float *box = nodes + (size_t)id * (6 * ARITY) + i;
+            if (box[0] > high.x || box[ARITY] > high.y || box[2 * ARITY] > high.z ||
+                box[3 * ARITY] < low.x || box[4 * ARITY] < low.y || box[5 * ARITY] < low.z)
+                continue;
+            const uint child = ARITY * id + 1 + i;
+            if (child < first_leaf) {
+                ids[top++] = child;
+                continue;
+            }
+            const uint first = (child - first_leaf) * LEAF;
+            for (uint j = first; j < min(first + LEAF, n); ++j) {
+                const uint other = names[j] / 3;
+                bool known = of[other] == of[own];
+                for (uint k = 0; k < listed; ++k)
+                    known |= found[CROSSED * (size_t)gid + k] == of[other] + 1;
+                if (known)
+                    continue;
+                double3 u[3];
+                for (uint k = 0; k < 3; ++k)
+                    u[k] = corner(vertices, faces, other, k);
+                if (beside(u, low, high) || !(pierced(t, u) || pierced(u, t)))
+                    continue;
+                found[CROSSED * (size_t)gid + listed++] = of[other] + 1;
+                if (listed == CROSSED)
+                    return;
+            }
+        }
+    }
+}

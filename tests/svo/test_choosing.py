@@ -59,9 +59,10 @@ def test_what_was_closed_is_filled_as_before(kind: str, device: Device) -> None:
     octree = job.run()
     assert octree == voxelize(mesh, grid, fill="parity", device=device)
     assert octree.fill == "winding"
-    assert job.plan.stages[0] == COMPARISON
-    assert "turned outward" in job.plan.choice
-    assert job.plan.choice in job.notes(octree)[0]
+    assert (job.plan.stages[0] == COMPARISON) == (kind != "both sides")  # whose copies are closed
+    assert job.inside is not None
+    assert "turned outward" in job.inside.why
+    assert job.notes(octree)[0].endswith(job.inside.why)
 
 
 def test_consistent_meshes_pay_nothing(device: Device) -> None:

@@ -89,6 +89,7 @@ class Run:
     started: float = field(default_factory=time.perf_counter)
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)  # remarks that are no warnings
+    doubts: list[str] = field(default_factory=list)  # those of --strict
     _times: dict[str, float] = field(default_factory=dict)  # of stages on the host
     _stage: tuple[str, float] | None = None  # the stage that runs, and when it began
 
@@ -280,6 +281,7 @@ class Run:
         if job.device is not None:
             self._times[JOB] = time.perf_counter() - began
         self.notes += job.notes(result)
+        self.doubts += job.doubts(result)
         return result
 
     @property
@@ -293,6 +295,7 @@ class Run:
         """Print the plan and the predicted memory of a job, and the stages after it; end the
         command."""
         self.progress.erase()
+        job.settle()
         stages = [*job.stages, *after]
         if after:
             facts = {**facts, "stages": stages}
@@ -378,7 +381,7 @@ class Run:
 
         Raises
         ------
-        CheckError : with --strict, the library has issued a warning.
+        CheckError : with --strict, the library has issued a warning, or what is inside was in doubt.
         """
         on_terminal = sys.stderr and sys.stderr.isatty()
         if "device" in self.__dict__ and not self.item and (on_terminal or self.verbose):
@@ -391,7 +394,7 @@ class Run:
                 options.tell(f"{self.device.info.name} ({self.device.info.platform})")
             for stage, seconds in self.times.items():
                 options.tell(f"  {stage:<18} {1e3 * seconds:9.2f} ms")
-        if self.strict and (issued := options.issued_warnings()):
+        if self.strict and (issued := [*options.issued_warnings(), *self.doubts]):
             raise CheckError(f"{'; '.join(issued)} (--strict)")
 
     @cached_property
@@ -412,7 +415,8 @@ class Run:
 
 # ---- options
 
-SHARED = {field.name for field in fields(Run) if field.init} - {"source", "progress", "notes"}
+OWN = {"source", "progress", "notes", "doubts"}
+SHARED = {field.name for field in fields(Run) if field.init} - OWN
 
 
 def run_options(*decorators: options.Decorator) -> options.Decorator:

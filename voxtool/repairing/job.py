@@ -2,9 +2,7 @@
 
 The stages:
 
-1. The fill rule decides which voxels of a grid are inside (svo/voxelize.py). "auto" is that of
-   `voxelize`, but for watertight meshes "nonzero", which unites parts that overlap, once their
-   outermost shells point outward (spatial/nesting.py).
+1. The fill rule decides which voxels of a grid are inside, as in `voxelize` (svo/voxelize.py).
 2. Components that are not wanted are dropped (svo/components.py).
 3. A surface net separates the voxels from the others: closed and manifold (svo/surface).
 4. Its vertices move onto the mesh, where it passes their cells (fit.py), and the distances between
@@ -44,7 +42,6 @@ from voxtool.repairing.walls import (
     within,
 )
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.spatial.nesting import turn_shells
 from voxtool.svo.booleans import combine
 from voxtool.svo.components import plan_keep_components
 from voxtool.svo.surface.extract import plan_extract
@@ -54,8 +51,6 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
     from voxtool.svo.octree import Octree
-
-UNITING = "nonzero"  # in place of parity, which cuts out where parts of a mesh overlap
 
 
 def grid_for(mesh: Mesh, dim: int | None = None, tolerance: float | None = None) -> Grid:
@@ -99,8 +94,6 @@ def plan_repair(
         voxels = plan_voxelize(mesh, grid, "surface26", **request)
     else:
         voxels = plan_voxelize(mesh, grid, fill=fill, gap=gap, **request)
-        if fill == "auto" and voxels.watertight:
-            voxels = plan_voxelize(turn_shells(mesh, device), grid, fill=UNITING, **request)
     plan = RepairPlan(
         voxels.plan, len(mesh.faces), grid.pitch[0], keep_components, float(offset), float(shell),
         float(thicken), holes, float(simplify),
@@ -121,6 +114,7 @@ class RepairJob(Job[Repaired]):
 
     plan: RepairPlan
     device: Device
+    _doubts: Sequence[str] = ()
 
     def __init__(
         self,
@@ -136,6 +130,7 @@ class RepairJob(Job[Repaired]):
     def _run(self) -> Repaired:
         plan, onto_mesh = self.plan, TriangleDistance(self.mesh, self.device)
         found = self._voxels.run()
+        self._doubts = self._voxels.doubts(found)
         target = Level(onto_mesh, plan.thicken / 2)
         if plan.thicken:
             with self.stage("plate"):
@@ -236,6 +231,7 @@ class RepairJob(Job[Repaired]):
     def notes(self, result: Repaired) -> Iterator[str]:
         """Yield what was done."""
         away = len(result.vertices) - result.on_target
+        yield from self._doubts
         filled = "" if self.plan.thicken else f"filled by {result.fill}; "
         yield (
             f"{filled}{count_of(away, 'vertex')} of {len(result.vertices)} away from the mesh or "
@@ -254,6 +250,10 @@ class RepairJob(Job[Repaired]):
                 f"{count_of(result.wall['cavities'], 'cavity')}, {result.wall['closed']} of them "
                 f"closed; the thinnest wall found is {result.wall['thinnest']:.4g}"
             )
+
+    def doubts(self, result: Repaired) -> Sequence[str]:
+        """Return remarks on what was decided to be inside."""
+        return self._doubts
 
     def findings(self, result: Repaired) -> Iterator[str]:
         """Yield what is wrong with the result."""

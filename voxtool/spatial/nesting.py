@@ -1,8 +1,9 @@
 """The nesting of the closed shells of a mesh, and their directions.
 
-A shell contains another if its box contains the other's, and its winding number is not 0 at the
-other's outermost vertices, those of the least and the greatest x, y and z. Shells that intersect
-mostly contain each other in neither direction; self_intersections.py finds those.
+A shell contains another if its box contains the other's, no edge of either passes through a face
+of the other (self_intersections.py), and its winding number is not 0 at the other's outermost
+vertices, those of the least and the greatest x, y and z, or at the centroids of faces there. Shells
+may touch: the number that is farthest from 1/2 decides.
 
 A plane sweeps over the boxes along x, from high to low. It meets a shell after those inside it, so
 each shell takes those of them that no other has taken: its children.
@@ -10,21 +11,20 @@ each shell takes those of them that no other has taken: its children.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.loops import find_loops
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.shells import Shells, find_shells
-from voxtool.mesh.topology import topology_of
+from voxtool.morton import among, distinct
 from voxtool.spatial.bvh import Frame
 from voxtool.spatial.pseudonormals import PI, angle_of
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.vector import cross, dot, length
 
 if TYPE_CHECKING:
+    from voxtool.mesh.shells import Shells
     from voxtool.opencl import Device
 
 FEW = 1 << 16  # products of faces and points up to which winding numbers are summed on the host
@@ -37,15 +37,19 @@ class Nesting:
     parents : (S,) int64: an innermost shell that contains each, or -1; of two that intersect each
         other, one.
     depths : (S,) int64: how many are around each: its parent, the parent's parent and so on.
+    roots : (S,) int64: the outermost of these, or the shell itself.
     """
 
     parents: np.ndarray
     depths: np.ndarray
+    roots: np.ndarray
 
 
-def nest(mesh: Mesh, shells: Shells, device: Device) -> Nesting:
-    """Return the nesting of the shells of a mesh; raises as WindingNumber."""
+def nest(mesh: Mesh, shells: Shells, crossing: np.ndarray, device: Device) -> Nesting:
+    """Return the nesting of the shells of a mesh, given those that cross, of crossing_shells;
+    raises as WindingNumber."""
     count = len(shells.closed)
+    crosses = distinct(np.concatenate([crossing, crossing[:, ::-1]]) @ [count, 1])
     low, high, closed = shells.low, shells.high, shells.closed.tolist()
     order = np.lexsort((*high.T[::-1], *-low.T[::-1])).tolist()  # inner boxes come first
     local = Mesh(Frame.of(mesh).local(mesh.vertices), mesh.faces)
@@ -60,38 +64,24 @@ def nest(mesh: Mesh, shells: Shells, device: Device) -> Nesting:
             inside = (low[near] >= low[shell]) & (high[near] <= high[shell])
             smaller = (low[near] > low[shell]) | (high[near] < high[shell])
             inner = near[inside.all(axis=1) & smaller.any(axis=1)]
+            inner = inner[~among(crosses, shell * count + inner)]
             if len(inner):
                 points = [_outermost(local, faces[starts[i] : starts[i + 1]]) for i in inner]
                 own = faces[starts[shell] : starts[shell + 1]]
-                number = _winding(local, own, np.concatenate(points), device).reshape(-1, 6)
-                parents[inner[(np.abs(number) > 0.5).all(axis=1)]] = shell
+                number = _winding(local, own, np.concatenate(points), device)
+                beyond = np.abs(number).reshape(len(inner), -1) - 0.5
+                farthest = np.abs(beyond).argmax(axis=1)
+                parents[inner[beyond[np.arange(len(inner)), farthest] > 0]] = shell
                 near = near[parents[near] < 0]
                 end = first + len(near)
                 free[first:end], free_low[first:end] = near, -low[near, 0]
         free[end], free_low[end] = shell, -low[shell, 0]
         end += 1
-    depths = np.zeros(count, np.int64)
+    depths, roots = np.zeros(count, np.int64), np.arange(count)
     for shell, parent in zip(order[::-1], parents[order[::-1]].tolist(), strict=True):
         if parent >= 0:
-            depths[shell] = depths[parent] + 1
-    return Nesting(parents, depths)
-
-
-def turn_shells(mesh: Mesh, device: Device) -> Mesh:
-    """Return a mesh whose outermost closed shells point outward: those that enclose a negative
-    volume are reversed, with all shells within them, so that cavities stay cavities."""
-    topology = topology_of(mesh)
-    shells = find_shells(mesh, topology, find_loops(mesh, topology))
-    nesting = nest(mesh, shells, device)
-    outermost = np.arange(len(nesting.parents))
-    for _ in range(int(nesting.depths.max(initial=0))):
-        around = nesting.parents[outermost]
-        outermost = np.where(around >= 0, around, outermost)
-    wrong = (shells.closed & (shells.volumes < 0))[outermost]
-    flipped = (shells.of >= 0) & wrong[shells.of]
-    if not flipped.any():
-        return mesh
-    return replace(mesh, faces=np.where(flipped[:, None], mesh.faces[:, ::-1], mesh.faces))
+            depths[shell], roots[shell] = depths[parent] + 1, roots[parent]
+    return Nesting(parents, depths, roots)
 
 
 def _winding(mesh: Mesh, faces: np.ndarray, points: np.ndarray, device: Device) -> np.ndarray:
@@ -110,6 +100,10 @@ def _part(mesh: Mesh, faces: np.ndarray) -> Mesh:
 
 
 def _outermost(mesh: Mesh, faces: np.ndarray) -> np.ndarray:
-    """Return the (6, 3) vertices of faces: of the least and the greatest x, y and z."""
-    points = mesh.vertices[mesh.faces[faces]].reshape(-1, 3)
-    return points[np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])]
+    """Return the vertices of faces of the least and the greatest x, y and z, and the centroids of a
+    face at each, (12, 3)."""
+    triangles = mesh.vertices[mesh.faces[faces]]
+    points = triangles.reshape(-1, 3)
+    corners = np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])
+    a, b, c = triangles[corners // 3].transpose(1, 0, 2)
+    return np.concatenate([points[corners], (a + b + c) / 3])

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.opencl import program
+from voxtool.spatial.bvh import build_tree
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -34,7 +35,10 @@ NEAR = 128  # faces that are tested against each face
 TESTS = 1 << 23  # shared by the faces that NEAR leaves undecided; more in large meshes
 STEPS = (4, 2, 1)  # of the rounds for a home: the share of the way to go, as its divisor
 MORE = 12  # rounds at most in which vertices move to their last home, after these
-HEADERS = {"spatial/self_intersections.h": program.c_constants(UNDECIDED=UNDECIDED)}
+CROSSED = 8  # shells that are listed for a face that crosses them
+HEADERS = {
+    "spatial/self_intersections.h": program.c_constants(UNDECIDED=UNDECIDED, CROSSED=CROSSED)
+}
 
 
 def find_self_intersections(
@@ -67,6 +71,32 @@ def find_self_intersections(
         result = found.take()
     result[result == LEFT_OUT] = 0
     return result
+
+
+def crossing_shells(device: Device, mesh: Mesh, of: np.ndarray, meeting: np.ndarray) -> np.ndarray:
+    """Return the pairs of shells of which an edge of one passes through a face of the other, (n, 2)
+    int64, in rising order. Shells that only touch do not cross, nor those whose edges and faces
+    are as near as rounding. Of a face that crosses more than CROSSED shells, others are found
+    from their side.
+
+    of : (F,) int64, the shell of each face; meeting : of find_self_intersections.
+    """
+    some = np.flatnonzero((meeting != 0) & (of >= 0))
+    if len(np.unique(of[some])) < 2:
+        return np.empty((0, 2), np.int64)
+    tree = build_tree(device, mesh, np.zeros(len(of), np.uint8), some)
+    vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
+    found = device.zeros(CROSSED * tree.count, np.int32)
+    with device.stage("crossing parts"):
+        device.kernel(SOURCE, "list_crossing_shells")(
+            tree.count, tree.names, vertices, faces, device.put(of.astype(np.int32)), tree.nodes,
+            tree.first_leaf, found,
+        )  # fmt: skip
+    own = of[tree.names.get()[: tree.count] // 3]
+    other = found.take().reshape(-1, CROSSED) - 1
+    face, slot = np.nonzero(other >= 0)
+    pairs = np.sort(np.stack([own[face], other[face, slot]], axis=1), axis=1)
+    return np.unique(pairs, axis=0)
 
 
 def rounds(

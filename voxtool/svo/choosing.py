@@ -13,10 +13,8 @@ agree, every part encloses a volume, and what they lose of the outer surface is 
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +22,7 @@ from voxtool.errors import MeshWarning, count_of
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
+from voxtool.spatial.fill_rule import Inside
 from voxtool.spatial.orientation import orient
 from voxtool.svo.consistency import agree, encloses
 from voxtool.svo.fill.caps import Boundary
@@ -37,31 +36,10 @@ LAST = "flood", GAPS[-1]
 HELD = ", and the rest is inside"
 
 
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """A fill rule, and why it was taken.
-
-    oriented : Mesh or None, the mesh to fill, if faces of the given one are reversed.
-    fill, gap : the rule, and its gap in voxels of the grid on which rules were compared.
-    pitch : float, the side of such a voxel, world units.
-    why : str, a line.
-    """
-
-    oriented: Mesh | None
-    fill: str
-    gap: int
-    pitch: float
-    why: str
-
-    def gap_in(self, grid: Grid) -> int:
-        """Return the voxels of a grid that are at least as long as the gap."""
-        return min(math.ceil(self.gap * (self.pitch / min(grid.pitch))), grid.dim)
-
-
 def choose(
     mesh: Mesh, boundary: Boundary, device: Device, voxelized: Callable[..., Octree]
-) -> Choice:
-    """Return the fill rule for a mesh that is not consistent.
+) -> Inside:
+    """Return what is inside of a mesh that is not consistent.
 
     voxelized(mesh, grid, mode, fill=, gap=, device=) returns an octree.
     """
@@ -82,7 +60,10 @@ def choose(
         )
         if share.enough or held or (fill, gap) == LAST:
             why = _reason(fill, gap, turned, share, lost) + HELD * held
-            return Choice(oriented, fill, gap, grid.pitch[0], why)
+            return Inside(
+                oriented or mesh, fill, why=why, compared=True, gap=gap, pitch=grid.pitch[0],
+                turned=turned,
+            )  # fmt: skip
         lost = lost or share
     raise AssertionError("the last rule is taken")
 

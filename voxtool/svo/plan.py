@@ -25,7 +25,8 @@ FLOOD_BYTES = 176  # of a brick in the graph of free space that a flood unites
 FLOOD_BLOCK = 64  # voxels along a side of the blocks of which slabs consist, at least
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
-REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded", "choice")  # fields that are given
+# Fields that are given
+REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded", "choice", "inside", "checked")
 COMPARISON = "comparison of fill rules"  # a stage
 
 
@@ -63,6 +64,8 @@ class VoxelizePlan:
     active: tuple[int, ...]  # predicted refined nodes by level, from level 1 up
     flooded: tuple[int, int, int] | None = None  # shape of the grid that is flooded
     choice: str = ""  # why the rule was chosen, if rules were compared
+    inside: tuple[tuple[str, Any], ...] = ()  # what was found of the parts, by name, to be stored
+    checked: bool = False  # whether parts overlap is found out as it runs
     slabs: int = 1  # in which it is flooded, one after the other
     seeds: int = 0  # nodes that are refined at the faces of a window that is flooded
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
@@ -234,6 +237,7 @@ class VoxelizePlan:
         return {
             "fill": self.rule,
             **({"choice": self.choice} if self.choice else {}),
+            **({"inside": dict(self.inside)} if self.inside else {}),
             **({"holes": self.holes, "cap_triangles": self.caps} if self.fill == "winding" else {}),
             "triangles": self.survey.triangles - self.caps,
             "triangles_outside": self.survey.outside,

@@ -21,7 +21,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -39,10 +39,9 @@ from voxtool.opencl import Array, Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import COMPACTION, RADIX_SORT
 from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
+from voxtool.spatial.fill_rule import UNION, Inside, inside_of_closed
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
-from voxtool.svo.consistency import consistent
-from voxtool.svo.fill.caps import Boundary, find_boundary
 from voxtool.svo.fill.levels import SOURCE as LEVELS
 from voxtool.svo.fill.rows import (
     CROSSINGS,
@@ -55,16 +54,14 @@ from voxtool.svo.fill.rows import (
 from voxtool.svo.fill.rows import SOURCE as ROWS
 from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.fill.winding import programs as near_holes
+from voxtool.svo.inside import inside_of, net_boundary
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.links import level_states
 from voxtool.svo.octree import Octree
-from voxtool.svo.plan import COMPARISON, REQUEST, Survey, VoxelizePlan, plan_of
+from voxtool.svo.plan import REQUEST, Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import ActiveNodes, Scan, add_nodes, find_active_nodes
-
-if TYPE_CHECKING:
-    from voxtool.svo.choosing import Choice
 
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
@@ -80,12 +77,14 @@ def plan_voxelize(
     with_surface: bool = False,
     window: Window | None = None,
     every_face: bool = False,
+    closed: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VoxelizeJob:
     """Return the surveyed and planned job of `voxelize`; see `voxtool.voxelize`.
 
-    With `every_face`, faces that repeat others are not left out: each may have its own colour.
+    With `every_face`, faces that repeat others are not left out: each may have its own colour. With
+    `closed`, the mesh is a part of one without holes, and its own boundary does not count.
     """
     if mode not in MODES:
         raise VoxtoolError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
@@ -102,7 +101,7 @@ def plan_voxelize(
         if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
-    job.every_face = every_face
+    job.every_face, job.closed = every_face, closed
     if fill == "auto" and mode == "solid":
         fill, gap = job.choose()
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
@@ -110,25 +109,6 @@ def plan_voxelize(
 
 
 voxelize = one_call(plan_voxelize, "voxelize", Octree)
-
-
-@once
-def _boundary(mesh: Mesh) -> Boundary:
-    """Return the boundary of the faces that winding numbers count."""
-    return find_boundary(mesh, net_faces(mesh))
-
-
-@once
-def _choice(mesh: Mesh, device: Device) -> Choice | None:
-    """Return the rule that "auto" takes for a mesh that is not watertight; None if it is
-    consistent."""
-    boundary = _boundary(mesh)
-    if consistent(mesh, boundary, device):
-        return None
-    from voxtool.svo.choosing import choose
-
-    with device.stage(COMPARISON), device.reporting(lambda _: None):  # not the stages within
-        return choose(mesh, boundary, device, voxelize)
 
 
 class VoxelizeJob(Job[Octree]):
@@ -146,17 +126,23 @@ class VoxelizeJob(Job[Octree]):
         The decisions.
     chosen : bool
         True if fill "auto" chose the fill rule.
-    choice : Choice or None
-        The fill rule and why, if rules were compared.
+    inside : Inside or None
+        What is inside, if fill "auto" decided it. It is None for a closed mesh until its rows show
+        winding numbers other than 0 and 1.
+    differing : int
+        Voxels that parity fills otherwise than the union of parts.
     """
 
     device: Device
     plan: VoxelizePlan
     chosen: bool = False
-    choice: Choice | None = None
+    inside: Inside | None = None
+    differing: int = 0
     every_face: bool = False  # also those that repeat others
+    closed: bool = False  # a part of a closed mesh
     surface_found: Callable[[Scan, ActiveNodes, Array], None] | None = None  # receives a surface
     _crowded: bool = False  # known once it has run
+    _certain: bool = True  # False once a check has found that parts may overlap
 
     def __init__(
         self, mesh: Mesh, grid: Grid, window: Window | None, device: Device, max_memory: int | None
@@ -176,11 +162,29 @@ class VoxelizeJob(Job[Octree]):
         self.chosen = True
         if self.watertight:
             return "parity", 0
-        self.choice = _choice(self.mesh, self.device)
-        if not self.choice:
-            return "winding", 0
-        self.mesh = self.choice.oriented or self.mesh
-        return self.choice.fill, self.choice.gap_in(self._whole)
+        self.inside = inside_of(self.mesh, self.device)
+        self.mesh = self.inside.mesh
+        return self.inside.fill, self.inside.gap_in(self._whole)
+
+    def settle(self) -> None:
+        """Decide whether parts of a closed mesh overlap, if that is left until it runs."""
+        if not self.plan.checked:
+            return
+        self.plan = replace(self.plan, checked=False)
+        inside = inside_of_closed(self._given, self.device)
+        assert inside  # the mesh is closed
+        self.inside = inside
+        if inside.fill != UNION:
+            return
+        from voxtool.svo.fill.differing import count_differing
+
+        low, shape = self._window or ((0, 0, 0), self._whole.shape)
+        crossings, limit = self.plan.survey.areas[0], self.limit
+        place = self._whole, tuple(low), tuple(shape), crossings, self.device, limit
+        self.differing = count_differing(inside.mesh, *place)
+        if self.differing:
+            self.mesh = inside.mesh
+            self.place(self.plan.mode, UNION, 0)
 
     def place(self, mode: str, fill: str, gap: int) -> None:
         """Upload the mesh, survey it and make the plan."""
@@ -198,7 +202,12 @@ class VoxelizeJob(Job[Octree]):
         request: dict[str, Any] = {"mode": mode, "fill": fill, "gap": gap}
         flooded = self._flooded[1] if fill == "flood" else None
         request |= {"holes": holes, "caps": faces, "flooded": flooded}
-        request["choice"] = self.choice.why if self.choice else ""
+        inside = self.inside
+        request["choice"] = inside.why if inside and inside.compared else ""
+        request["checked"] = self.chosen and fill == "parity"
+        if inside and self.differing:
+            found = {"parts": inside.parts, "faces_turned": inside.turned, "why": inside.why}
+            request["inside"] = *found.items(), ("voxels_parity_differs", self.differing)
         plan = plan_of(survey, self.grid.shape, **request)
         self.plan = plan.in_slabs(self.limit, self.device.info.max_allocation)
 
@@ -225,7 +234,8 @@ class VoxelizeJob(Job[Octree]):
     def _place(self, some: np.ndarray | None, fill: str) -> Survey:
         """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
         whole grid to flood it."""
-        boundary = _boundary(self.mesh) if fill == "winding" else None
+        counted = fill == "winding" and not self.closed
+        boundary = net_boundary(self.mesh) if counted else None
         window = self._flooded if fill == "flood" else self._window
         self.lattice = place_mesh(self.mesh, self._whole, window, some, boundary, self.device)
         return self.lattice.survey()
@@ -277,6 +287,15 @@ class VoxelizeJob(Job[Octree]):
         return programs + (COUNTING if self.chosen and not self.watertight else [])
 
     def _run(self) -> Octree:
+        octree = self._make()
+        if not self._certain:
+            self.settle()
+            if self.differing:
+                return self._make()
+        return octree
+
+    def _make(self) -> Octree:
+        """Return the octree as the plan says; a check may find that it is not certain."""
         plan, scan = self.plan, Scan(self.lattice, self.plan)
         self.device.prepare(*self.programs)
         if plan.fill == "flood":
@@ -311,6 +330,7 @@ class VoxelizeJob(Job[Octree]):
             else:
                 flips = flip_crossings(scan, active)
         filled = fill_rows(tree, flips, self.limit, plan.propagation == "levels")
+        self._certain = filled.certain
         del tree, flips  # frees memory if the mesh is open: `filled` then has its own
         if holes:
             holes.fill(filled.tree, filled.bricks)
@@ -360,15 +380,33 @@ class VoxelizeJob(Job[Octree]):
         return Octree(self.grid, mode, rule, *arrays, scene, *origin)
 
     def notes(self, octree: Octree) -> list[str]:
-        """Return lines about the fill rule chosen for an open mesh; they are not warnings."""
-        rule = self.choice.fill if self.choice else "winding"
-        if not self.chosen or self.watertight or not octree.fill.startswith(rule):
+        """Return lines about what was decided to be inside; they are not warnings."""
+        if doubts := self.doubts(octree):
+            return doubts
+        if self.watertight or not self.chosen or octree.fill != "winding":
             return []
-        summary = f"{self._name} is {once(check_topology)(self._given, self.device).summary()}"
-        if self.choice:
-            return [f"{summary}; {self.choice.why}"]
         holes = f"{count_of(self.plan.holes, 'hole')}, " if self.plan.holes else ""
-        return [f"{summary}; {holes}filled where its winding number is 1/2 or more"]
+        filled = f"{holes}filled where its winding number is 1/2 or more"
+        return [f"{self._name} is {self._summary}; {filled}"]
+
+    def doubts(self, octree: Octree) -> list[str]:
+        """Return a line if parts overlap, are turned, or rules were compared."""
+        inside = self.inside
+        if not inside or not inside.why or not octree.fill.startswith(inside.fill):
+            return []
+        if not self.watertight:
+            return [f"{self._name} is {self._summary}; {inside.why}"]
+        if not self.differing:
+            return []
+        share = 100 * self.differing / max(octree.count, 1)
+        return [
+            f"{self._name}: {inside.why}: their union is filled (parity would differ in "
+            f"{self.differing:,} voxels, {share:.2g} %)"
+        ]
+
+    @property
+    def _summary(self) -> str:
+        return once(check_topology)(self._given, self.device).summary()
 
     def findings(self, octree: Octree) -> Iterator[str]:
         """Yield warnings: the fill may leak, or the octree is empty."""

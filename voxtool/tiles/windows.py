@@ -145,6 +145,7 @@ class WindowsJob(Job[BlockOctree]):
     least = LEAST
 
     def __init__(self, whole: VoxelizeJob) -> None:
+        whole.settle()
         self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
         self.grid, self.mesh = whole.grid, whole.mesh
         self._free()
@@ -183,8 +184,8 @@ class WindowsJob(Job[BlockOctree]):
 
     def _faces_of(self, key: Key, faces: np.ndarray) -> np.ndarray:
         """Return those of some faces that can change a window: for a solid also those before it
-        along x, as their crossings decide where its rows begin, and of a winding number all."""
-        if self.whole.plan.fill == "winding":
+        along x, as their crossings decide where its rows begin, and of an open mesh's winding number all."""
+        if self._wound:
             return faces
         return self._faces_near(key, faces, MARGIN, rows=self.whole.plan.solid)
 
@@ -198,6 +199,11 @@ class WindowsJob(Job[BlockOctree]):
             reached[:, 0] = True
         return faces[(reached & (low <= corner + side + margin)).all(axis=1)]
 
+    @property
+    def _wound(self) -> bool:
+        """True if far faces change a window: the mesh is filled by winding numbers, and is open."""
+        return self.whole.plan.fill == "winding" and not self.whole.watertight
+
     def _mesh_of(self, faces: np.ndarray) -> Mesh:
         """Return the mesh of some faces."""
         return mesh_of(self.mesh, faces)
@@ -208,8 +214,8 @@ class WindowsJob(Job[BlockOctree]):
         plan = self.whole.plan
         mode, _, added = plan.mode.partition("+")
         fill = plan.fill if plan.solid else "auto"
-        limit = {"max_memory": self.max_memory}
-        return {"mode": mode, "fill": fill, "with_surface": bool(added), **limit}
+        more = {"max_memory": self.max_memory, "closed": not self._wound}
+        return {"mode": mode, "fill": fill, "with_surface": bool(added), **more}
 
     def _job(self, key: Key, faces: np.ndarray) -> VoxelizeJob:
         """Return the job of a window."""
@@ -337,6 +343,10 @@ class WindowsJob(Job[BlockOctree]):
     def notes(self, octree: BlockOctree) -> list[str]:
         """Return lines about the fill rule; they are not warnings."""
         return self.whole.notes(cast("Octree", octree))
+
+    def doubts(self, octree: BlockOctree) -> Iterable[str]:
+        """Return remarks on what was decided to be inside."""
+        return self.whole.doubts(cast("Octree", octree))
 
     def findings(self, octree: BlockOctree) -> Iterator[str]:
         """Yield warnings: the fill may leak, or the octree is empty."""

@@ -1,8 +1,10 @@
 // The crossings of rows of voxel centres with triangles. Rows are along x; those along y and z are
-// found in a grid and a mesh whose coordinates are rotated. Host side: voxtool/svo/fill/rows.py. Options: those of columns.h; LISTED, for crossings with directions.
+// found in a grid and a mesh whose coordinates are rotated. Host side: voxtool/svo/fill/rows.py.
+// Options: those of columns.h; LISTED, for crossings with directions.
 
 #include "svo/columns.h"
 #include "svo/fill/crossings.h"
+#include "svo/fill/sums.h"
 
 // Actions at the crossings of rows with a triangle.
 #define FLIP 0  // flip the first voxel at or beyond each
@@ -15,14 +17,19 @@ typedef struct {
     __global ulong *crossings;
     __global uint *crossed;
     uint count, x_bits;
+    uint2 sums;
+    bool checked;
 } visitor;
+
+// The bundle of 8 x 8 rows of row (j, k).
+uint bundle_of(int j, int k, int ny) { return (j >> 3) + (k >> 3) * ((ny + 7) >> 3); }
 
 // Flip a row from voxel i on. If i is -1, flip the state of the row on entry.
 void flip_row(sink *out, volatile __global uint *entry, ACTIVE_SET_PARAMETERS, int3 shape, int i,
               int j, int k)
 {
     if (i < 0) {
-        const uint row = row_bit(j & 7, k & 7), bundle = (j >> 3) + (k >> 3) * ((shape.y + 7) >> 3);
+        const uint row = row_bit(j & 7, k & 7), bundle = bundle_of(j, k, shape.y);
         atomic_xor(&entry[2 * bundle + (row >> 5)], 1u << (row & 31));
     } else {
         put_voxel(out, ACTIVE_SET, (uint3)(i, j, k));
@@ -73,9 +80,13 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, uint axis,
                     const int i = max(c->low.z + r, -1);
                     if (i >= shape.x)
                         continue; // beyond the high-x side
-                    if (what == FLIP)
+                    if (what == FLIP) {
                         flip_row(&v->out, v->entry, ACTIVE_SET, shape, i, j, k);
-                    else if (what == LIST) {
+                        if (v->checked) {
+                            const uint2 more = weighed(row_sums(1, max(i, 0), shape.x), bundle_of(j, k, shape.y));
+                            v->sums += sign < 0 ? more : -more;
+                        }
+                    } else if (what == LIST) {
                         v->crossings[v->count] =
                             ((ulong)k * shape.y + j) << v->x_bits | (ulong)(i + 1) << 2 | (sign < 0 ? ENTERS : 0);
                         if (v->crossed)
@@ -91,8 +102,9 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, uint axis,
 
 #ifndef LISTED
 
+// sums[gid] = the sums of sums.h over the crossings of a work-item, with the sign of each, if asked for.
 __kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks,
-                             volatile __global uint *entry)
+                             volatile __global uint *entry, __global uint2 *sums)
 {
     triangle t;
     columns c;
@@ -101,8 +113,12 @@ __kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global
     visitor v;
     v.out = open_sink(bricks, true);
     v.entry = entry;
+    v.sums = 0;
+    v.checked = sums != 0;
     visit_crossings(&t, &c, shape, 0, FLIP, &v, ACTIVE_SET);
     flush(&v.out);
+    if (sums)
+        sums[get_global_id(0)] = v.sums;
 }
 
 #else

@@ -7,6 +7,7 @@
 #include "svo/octree.h"
 #include "svo/fill/filling.h"
 #include "svo/fill/rows.h"
+#include "svo/fill/sums.h"
 #include "svo/morton.h"
 
 // The rows of quadrant o (brick octant / 2) of a bundle's state, as bits of X0; and back.
@@ -26,16 +27,28 @@ ulong node_flips(__global const ulong *bricks)
     return rows;
 }
 
+// The sums of two bricks along x, the first from x on. Bits 0 and 3 of a voxel's index are those of x.
+uint2 brick_sums(ulong low, ulong high, int x)
+{
+    const ulong odd = 0xAAAAAAAAAAAAAAAAul, far = 0xFF00FF00FF00FF00ul;
+    const uint first = (uint)popcount(low), second = (uint)popcount(high);
+    const uint ones = (uint)popcount((low & odd) | (high & odd) >> 1);
+    const uint twos = (uint)popcount((low & far) | (high & far) >> 8);
+    const uint voxels = first + second;
+    return (uint2)(voxels, 2 * (voxels * (uint)x + 4 * second + ones + 2 * twos));
+}
+
 #define MAX_LEVELS 16
 
 // Traverse the octree along a bundle of rows. `entries` receives the states of rows where they enter
 // level-1 nodes. `fills` counts the bundles that are completely inside at a leaf, or becomes MIXED if
 // some rows are inside or the leaf reaches beyond the grid. With `chosen`, only the chosen bundles
-// are traversed, and their states are recorded for leaves to be refined (child = slot + 1).
+// are traversed, and their states are recorded for leaves to be refined (child = slot + 1). If asked for,
+// sums[bundle] = the sums of sums.h over the voxels of leaves.
 __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
                          const int3 shape, const uint n, __global const uint *chosen,
                          __global const ulong *entry, __global const ulong *bricks, __global ulong *entries,
-                         volatile __global uint *fills, __global ulong *states)
+                         volatile __global uint *fills, __global ulong *states, __global uint2 *sums)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -47,6 +60,7 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
     uint path[MAX_LEVELS]; // the nodes that contain cell (x, y, z), by level
     path[top] = 0;
     uint x = 0, level = top;
+    uint2 inside = 0;
     while (x < end) {
         // descend to the leaf or level-1 node of the cell, from the last node that contains it
         uint child = nodes[offsets[top - level] + path[level]].child;
@@ -68,6 +82,8 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
             const uint side = 1u << (level - 1); // of the leaf, in cells
             const uint leaf = offsets[top - level] + path[level];
             next = (x | (side - 1)) + 1;
+            if (sums)
+                inside += row_sums((uint)popcount(state), 8 * x, min(8 * (int)next, shape.x));
             if (chosen) {
                 if (child & LINK)
                     states[(child & LINK) - 1 + (y & (side - 1)) + (z & (side - 1)) * side] = state;
@@ -80,6 +96,8 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
         level = min(33 - clz(x ^ next), top);
         x = next;
     }
+    if (sums)
+        sums[bundle] = weighed(inside, bundle);
 }
 
 // Mark leaves: INSIDE if all bundles through a leaf fill it, otherwise MIXED; count the MIXED ones.
@@ -110,20 +128,27 @@ __kernel void unite_bricks(__global const ulong *added, __global const uint *pos
         bricks[8 * positions[gid / 8] + gid % 8] |= added[gid];
 }
 
-// Turn the flips of each level-1 node into voxels, clipped to the grid.
+// Turn the flips of each level-1 node into voxels, clipped to the grid. If asked
+// for, sums[gid] = their sums.
 __kernel void fill_bricks(__global const CODE *codes, const uint n, const int3 shape,
-                          __global const ulong *entries, __global ulong *bricks)
+                          __global const ulong *entries, __global ulong *bricks, __global uint2 *sums)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const ulong state = entries[gid];
-    const int x = 8 * (int)morton_decode(codes[gid]).x;
+    const uint3 cell = morton_decode(codes[gid]);
+    const int x = 8 * (int)cell.x;
+    uint2 inside = 0;
     for (uint o = 0; o < 4; ++o) {
         __global ulong *pair = bricks + 8 * gid + 2 * o;
         const ulong low = fill_brick(pair[0], face_of(state, o));
         const ulong high = fill_brick(pair[1], exit_face(low));
         pair[0] = low & voxels_before(shape.x, x, 0);
         pair[1] = high & voxels_before(shape.x, x, 1);
+        if (sums)
+            inside += brick_sums(pair[0], pair[1], x);
     }
+    if (sums)
+        sums[gid] = weighed(inside, cell.y + cell.z * ((uint)(shape.y + 7) / 8));
 }

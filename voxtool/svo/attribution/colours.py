@@ -285,6 +285,10 @@ class SurfaceAttributesJob(Job[Octree]):
         """Remarks on the octree."""
         return self.inner.notes(result)
 
+    def doubts(self, result: Octree) -> Iterable[str]:
+        """Return remarks on what was decided to be inside."""
+        return self.inner.doubts(result)
+
     def _inner_sides(self) -> tuple[list[int], list[int]]:
         """Return the first and last sides of voxels across each axis that two of them share, also
         with one outside the window."""

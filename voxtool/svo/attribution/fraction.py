@@ -70,8 +70,9 @@ def plan_fractions(
     check_type(kind)
     options: dict[str, Any] = {"window": window, "device": device, "max_memory": max_memory}
     solid = plan_voxelize(mesh, grid, "solid", fill=fill, **options)
+    solid.settle()
     if solid.plan.fill == "flood":
-        why = f" ({solid.choice.why})" if solid.choice else ""
+        why = f" ({solid.inside.why})" if solid.inside else ""
         raise MeshError(
             f"{mesh.name or 'mesh'}: a flood fills whole voxels{why}, so there are no fractions: "
             "repair the mesh (voxtool repair), or choose fill winding, nonzero or parity"
@@ -299,8 +300,13 @@ class FractionJob(Job[Octree]):
         notes = self.solid.notes(result)
         if not self.plan.caps[1]:
             return notes
-        summary = notes[0] if notes and self.solid.choice else "".join(notes).partition("; ")[0]
+        doubts = self.doubts(result)
+        summary = doubts[0] if doubts else "".join(notes).partition("; ")[0]
         return [f"{summary or self._name}; {self.plan.closing}"]
+
+    def doubts(self, result: Octree) -> list[str]:
+        """Return remarks on what was decided to be inside."""
+        return self.solid.doubts(result)
 
     @property
     def _name(self) -> str:

@@ -175,11 +175,10 @@ def plan_labels(
     request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
     options: dict[str, Any] = {"device": device, "max_memory": max_memory}
     jobs = []
-    rule = {**request, "fill": "parity" if fill == "auto" else fill}
     atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
     if atlas:
         together = atlas.mesh(fixed, own.faces, own.of)
-        jobs.append(plan_voxelize(together, atlas.grid, mode, **rule, **options))
+        jobs.append(plan_voxelize(together, atlas.grid, mode, **request, **options))
     jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, **request, **options)
              for part in alone]  # fmt: skip
     dtype = dtype_of_labels(len(parts.names))
@@ -336,6 +335,20 @@ class PartLabelsJob(Job[Octree]):
         described = {"source_sha256": mesh.source_sha256, "units": mesh.units}
         described |= {"transform": mesh.transform, "plan": self.plan.scene()}
         return replace(octree, attributes=(label,), **described)
+
+    def notes(self, result: Octree) -> Iterable[str]:
+        """Return what was decided to be inside of parts."""
+        return self.doubts(result)
+
+    def doubts(self, result: Octree) -> list[str]:
+        """Return a line if shells of a part overlap."""
+        differing = sum(getattr(job, "solid", job).differing for job in self.jobs)
+        if not differing:
+            return []
+        return [
+            f"{self.mesh.name or 'mesh'}: shells overlap within a part: their union is filled "
+            f"(parity would differ in {differing:,} voxels)"
+        ]
 
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield a warning if parts set no voxel."""

@@ -49,12 +49,16 @@ class PartsOfWindows:
         """Return the parts of a planned voxelization."""
         own, rest, rules = whole.own, list(whole.jobs), {}
         together = whole.atlas.parts if whole.atlas else own.parts[:0]
-        if whole.atlas:
-            plan = rest.pop(0).plan
-            rules = dict.fromkeys(together.tolist(), (plan.fill, plan.gap))
         faces = own.faces.copy()
+        if whole.atlas:
+            job = rest.pop(0)
+            job.settle()
+            rules = dict.fromkeys(together.tolist(), (job.plan.fill, job.plan.gap))
+            faces[np.isin(own.of, together)] = job.mesh.faces
         for (part, _), job in zip(whole.plan.alone, rest, strict=True):
-            plan = getattr(job, "solid", job).plan  # of fractions, that of the solid
+            solid = getattr(job, "solid", job)  # of fractions
+            solid.settle()
+            plan = solid.plan
             rules[part] = plan.fill, plan.gap
             first = np.int32(np.searchsorted(own.part_of, part))
             faces[own.of == part] = job.mesh.faces + first

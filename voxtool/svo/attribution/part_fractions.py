@@ -122,7 +122,8 @@ class PartFractionsJob(PartLabelsJob):
             yield from job.wrong()
 
     def notes(self, result: Octree) -> Iterator[str]:
-        """Yield how many holes of parts are closed by caps."""
+        """Yield what was decided to be inside, and how many holes of parts are closed by caps."""
+        yield from self.doubts(result)
         holes, caps = (sum(job.plan.caps[i] for job in self.jobs) for i in range(2))
         if caps:
             closed = f"{count_of(holes, 'hole')} of parts closed"

@@ -14,6 +14,14 @@ A leaf in which only some rows are inside is MIXED. No triangle touches such a l
 the mesh is open, or if the grid ends in the leaf. It is refined until all voxels of every leaf are
 equal, so that the octree holds exactly the set that the fill rule defines.
 
+A check tells whether parity fills what winding numbers do. The number of the voxels of a row that
+winding numbers count is the sum over its crossings, with their signs, of the voxels after each. So
+is the sum of their places. If all numbers are 0 and 1, these sums are those of the voxels that
+parity sets; if they are 0 and -1, their negative. Sums are taken in bundles, weighed by
+pseudo-random numbers, modulo 2^32 (sums.h). They can agree by chance with a probability of 2^-64,
+or where in each bundle voxels with a number of 2 or more and voxels with a negative one are as many
+and have the same middle.
+
 Kernels: crossings.cl and rows.cl in kernels/svo/fill.
 """
 
@@ -65,6 +73,7 @@ class Flips:
     bricks: Array  # (8 n,) uint64 masks of the n active nodes
     shape: tuple[int, int, int]  # voxels of the grid
     entry: Array | None  # (bundles,) uint64 states at x = 0, one bit a row; None if all are outside
+    sums: Array | None = None  # (m, 2) uint32 of crossings, to be checked; None if they are not
 
     @property
     def bundles(self) -> int:
@@ -88,9 +97,10 @@ def flip_crossings(scan: Scan, active: ActiveNodes) -> Flips:
     """Return the flips of the parity rule."""
     flips = no_flips(scan, active)
     n, triangles = scan.shares(CROSSED)
+    sums = scan.device.zeros(2 * n, np.uint32) if scan.plan.checked else None
     flip = scan.kernel(CROSSINGS, "flip_crossings")
-    flip(n, flips.bricks, flips.entry, **triangles, **active.lookup)
-    return flips
+    flip(n, flips.bricks, flips.entry, sums, **triangles, **active.lookup)
+    return replace(flips, sums=sums)
 
 
 def list_crossings(scan: Scan, *, axis: int = 0, with_faces: bool = False) -> Crossings:
@@ -132,6 +142,7 @@ class Filled:
     bricks: Array  # (8 n,) uint64 masks
     # (m,) uint32 index of each active node among the refined level-1 nodes; None if they are equal
     positions: np.ndarray | None
+    certain: bool = True  # False if winding numbers other than 0 and 1 were found by a check
 
     def unite(self, added: Array) -> None:
         """Add the voxels of the active nodes' bricks `added`."""
@@ -153,23 +164,36 @@ def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int, by_levels: bool
         if bricks is not None:
             return Filled(tree, bricks, None)
     with device.stage("rows"):
-        entries, unresolved = _walk_rows(tree, flips)
+        entries, leaves, unresolved = _walk_rows(tree, flips)
     if unresolved:
         with device.stage("refine open rows"):
             lists, positions = _refine_open_rows(tree, flips, max_memory)
             moved = device.zeros(8 * len(lists[0]), BRICK)
             unite_nodes(flips.bricks, positions, moved)
             tree, flips = build_from_lists(device, lists), replace(flips, bricks=moved)
-            entries, unresolved = _walk_rows(tree, flips)
+            entries, leaves, unresolved = _walk_rows(tree, flips)
             if unresolved:
                 raise VoxtoolError(
                     f"{unresolved} leaves are neither inside nor outside: report this mesh"
                 )
     with device.stage("fill"):
         level1 = tree.refined[0]
+        sums = device.empty(2 * level1.n, np.uint32) if flips.sums else None
         fill_bricks = tree.kernel(SOURCE, "fill_bricks")
-        fill_bricks(level1.n, level1.codes, flips.shape, entries, flips.bricks)
-    return Filled(tree, flips.bricks, positions)
+        fill_bricks(level1.n, level1.codes, flips.shape, entries, flips.bricks, sums)
+    certain = not (flips.sums and sums and leaves) or _agree(flips.sums, sums, leaves)
+    return Filled(tree, flips.bricks, positions, certain)
+
+
+def _agree(crossings: Array, *voxels: Array) -> bool:
+    """Return whether the sums of crossings are those of the voxels that parity sets, or their
+    negative."""
+    counted, *filled = (
+        np.array([numbers[i::2].sum(dtype=np.uint32) for i in range(2)])
+        for numbers in (array.take() for array in (crossings, *voxels))
+    )
+    found = np.sum(filled, axis=0, dtype=np.uint32)
+    return np.array_equal(counted, found) or np.array_equal(counted, np.uint32(0) - found)
 
 
 def unite_nodes(added: Array, positions: np.ndarray, bricks: Array) -> None:
@@ -179,26 +203,27 @@ def unite_nodes(added: Array, positions: np.ndarray, bricks: Array) -> None:
     unite_bricks(added.size, added, device.put(positions), bricks)
 
 
-def _walk_rows(tree: DeviceOctree, flips: Flips) -> tuple[Array, int]:
+def _walk_rows(tree: DeviceOctree, flips: Flips) -> tuple[Array, Array | None, int]:
     """Mark leaves of the tree as INSIDE, or as MIXED if only some of their rows are inside. Return
-    the states of rows where they enter the level-1 nodes, (n,) uint64, and the number of MIXED
-    leaves."""
+    the states of rows where they enter the level-1 nodes, (n,) uint64, the sums of leaves if flips
+    have some, and the number of MIXED leaves."""
     device, coarse = tree.nodes.device, int(tree.offsets[-2])
     entries = device.empty(tree.refined[0].n, np.uint64)
     fills = device.zeros(coarse, np.uint32)
-    _sweep_rows(tree, flips, flips.bundles, entries=entries, fills=fills)
+    sums = device.empty(2 * flips.bundles, np.uint32) if flips.sums else None
+    _sweep_rows(tree, flips, flips.bundles, entries=entries, fills=fills, sums=sums)
     unresolved = device.zeros(1, np.uint32)
     offsets = device.put(tree.offsets)
     tree.kernel(SOURCE, "mark_leaves")(coarse, tree.nodes, offsets, tree.top, fills, unresolved)
-    return entries, int(unresolved.take()[0])
+    return entries, sums, int(unresolved.take()[0])
 
 
-def _sweep_rows(tree: DeviceOctree, flips: Flips, bundles: int, **recorded: Array) -> None:
+def _sweep_rows(tree: DeviceOctree, flips: Flips, bundles: int, **recorded: Array | None) -> None:
     """Traverse all rows and record the states where they enter level-1 nodes in `entries`, and how
     leaves are filled in `fills`; or traverse the `chosen` bundles and record their `states` in the
     leaves that are to be refined."""
     arguments: dict[str, Any] = {
-        **dict.fromkeys(("chosen", "entries", "fills", "states")),
+        **dict.fromkeys(("chosen", "entries", "fills", "states", "sums")),
         "nodes": tree.nodes,
         "offsets": tree.nodes.device.put(tree.offsets),
         "top": tree.top,

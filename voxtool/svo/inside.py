@@ -1,0 +1,39 @@
+"""What is inside of any mesh: one decision, which every command takes.
+
+Closed meshes are decided by their shells (spatial/fill_rule.py). A mesh that is open but consistent
+(consistency.py) is filled by winding numbers. For any other mesh, rules are compared (choosing.py).
+"""
+
+from __future__ import annotations
+
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.once import once
+from voxtool.mesh.topology import net_faces
+from voxtool.mesh.watertight import watertight
+from voxtool.opencl import Device
+from voxtool.spatial.fill_rule import Inside, inside_of_closed
+from voxtool.svo.consistency import consistent
+from voxtool.svo.fill.caps import Boundary, find_boundary
+from voxtool.svo.plan import COMPARISON
+
+
+@once
+def net_boundary(mesh: Mesh) -> Boundary:
+    """Return the boundary of the faces that winding numbers count."""
+    return find_boundary(mesh, net_faces(mesh))
+
+
+@once
+def inside_of(mesh: Mesh, device: Device) -> Inside:
+    """Return what is inside of a mesh."""
+    if not once(watertight)(mesh, device) and consistent(mesh, net_boundary(mesh), device):
+        return Inside(mesh, "winding")
+    return inside_of_closed(mesh, device) or _compared(mesh, device)
+
+
+def _compared(mesh: Mesh, device: Device) -> Inside:
+    from voxtool.svo.choosing import choose
+    from voxtool.svo.voxelize import voxelize
+
+    with device.stage(COMPARISON), device.reporting(lambda _: None):  # not the stages within
+        return choose(mesh, net_boundary(mesh), device, voxelize)
