@@ -38,7 +38,9 @@ DEFAULT_TOLERANCE = 1e-3  # of a distance field, in sides of its cube
 # Levels of the leaves of a field, from the root on: a leaf of level 21 has a parent whose key has
 # 21 bits and whose identifier has 61.
 DEFAULT_MAX_LEVEL, MAX_LEVEL = 9, 21
-SIGNS = ("pseudonormal", "winding", "none")  # what decides the sign of a distance
+SIGNS = ("pseudonormal", "winding", "parity", "nonzero", "none")  # how a distance's sign is found
+FIELD_SIGNS = ("pseudonormal", "winding", "none")  # of fields
+POINT_FILLS = (*FILLS, "none")  # what is inside, for distances; none: no distance is negative
 GIVEN = "given"  # of a field whose distances were an image's, signs included
 # Texels along an axis of a field's 3-D textures: every device with WebGL 2 has the fewest.
 MIN_TEXTURE_3D, MAX_TEXTURE_3D, DEFAULT_TEXTURE_3D = 256, 3072, 2048

@@ -1,34 +1,38 @@
 """Exact distances as jobs: from any points, and at the voxel centres of a grid.
 
-The signs on a grid are those of voxelize: a distance is negative exactly where the voxel is set.
-The magnitudes are those of the unrounded mesh.
+What is inside is decided as for voxelize (svo/inside.py). On a grid a distance is negative exactly
+where the voxel is set. The magnitudes are those of the unrounded mesh.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.choices import SIGNS
+from voxtool.adf.build import FieldJob, plan_adf
+from voxtool.choices import FIELD_SIGNS, FILLS, POINT_FILLS
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.memory import available_memory
 from voxtool.opencl import default_device
 from voxtool.spatial import insides
 from voxtool.spatial.distance import POINT_BYTES, POINTS_AT_ONCE
-from voxtool.spatial.signed_distance import SignedDistance, default_sign, distance_bytes
+from voxtool.spatial.fill_rule import Inside, inside_of_closed
+from voxtool.spatial.signed_distance import SignedDistance, distance_bytes
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.inside import inside_of
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
+    from voxtool.svo.octree import Octree
 
 LOCATED_BYTES = 56  # further bytes a point for its nearest point
-SIGN_STAGES = {"pseudonormal": ["pseudo-normals"], "winding": ["moments"], "none": []}
+SIGN_STAGES = {"pseudonormal": ["pseudo-normals"], "winding": ["moments"]}
 SIGN_NAMES = {"pseudonormal": "pseudo-normals", "winding": "winding numbers"}
 
 
@@ -37,15 +41,17 @@ class DistancePlan:
     """The plan of distances at points."""
 
     triangles: int
-    sign: str  # one of SIGNS
+    sign: str  # one of voxtool.choices.SIGNS
     located: bool  # whether gradients, nearest points or faces are computed
     block: int = POINTS_AT_ONCE  # points on the device at once
 
     @property
     def stages(self) -> list[str]:
-        first, last = SIGN_STAGES[self.sign], ["distance"]
+        first, last = SIGN_STAGES.get(self.sign, []), ["distance"]
         if self.sign == "winding":
             return ["tree", *first, *last, "winding number"]
+        if self.sign in FILLS:
+            return ["tree", *last, "crossings of lines"]
         return [*first, "tree", *last]
 
     @property
@@ -84,28 +90,71 @@ class DistanceJob(Job[SignedDistance]):
     """A planned SignedDistance: the result of `run()`, for any number of points."""
 
     mesh: Mesh
+    inside: Inside
     plan: DistancePlan
     device: Device
     max_memory: int | None
 
     def _run(self) -> SignedDistance:
-        return SignedDistance(self.mesh, self.plan.sign, self.device)
+        return SignedDistance(self.inside.mesh_of(self.mesh), self.plan.sign, self.device)
+
+    def notes(self, result: SignedDistance) -> list[str]:
+        """Return what was decided to be inside, if it was in doubt."""
+        return self.inside.note(self.mesh)
+
+    doubts = notes
+
+
+def inside_for(mesh: Mesh, fill: str, device: Device) -> tuple[Inside, str]:
+    """Return what is inside of a mesh, and how the sign of a distance from a point is found, one of
+    voxtool.choices.SIGNS.
+
+    fill : one of voxtool.choices.POINT_FILLS. Raises VoxtoolError for any other, and for "flood".
+    """
+    if fill not in POINT_FILLS:
+        raise VoxtoolError(f"fill {fill!r} is unknown: choose one of {', '.join(POINT_FILLS)}")
+    if fill == "flood":
+        raise VoxtoolError(
+            "fill 'flood' fills whole voxels, and a point is in none: choose auto or winding, or "
+            "measure a grid (--dim)"
+        )
+    if fill == "auto":
+        inside = inside_of(mesh, device)
+        return inside, inside.sign
+    if fill in ("parity", "nonzero"):
+        closed = inside_of_closed(mesh, device)
+        if closed and closed.simple:
+            return closed, closed.sign
+    return Inside(None, fill), fill
+
+
+def plan_field(mesh: Mesh, *, fill: str = "auto", **request: Any) -> FieldJob:
+    """Return the job of building the distance field of a mesh; see voxtool.plan_adf."""
+    device = request.pop("device", None) or default_device()
+    if fill == "auto":
+        return plan_adf(mesh, decide=inside_of, device=device, **request)
+    inside, sign = inside_for(mesh, fill, device)
+    if sign not in FIELD_SIGNS:
+        raise VoxtoolError(
+            f"fill {fill!r} decides about fields of closed meshes whose parts do not overlap, and "
+            f"{mesh.name or 'mesh'} is none: choose auto or winding"
+        )
+    return plan_adf(inside.mesh_of(mesh), sign=sign, device=device, **request)
 
 
 def plan_distance(
     mesh: Mesh,
     *,
-    sign: str | None = None,
+    fill: str = "auto",
     located: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> DistanceJob:
     """Return the job whose result, a SignedDistance, measures points; see voxtool.plan_distance."""
-    if sign is not None and sign not in SIGNS:
-        raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
     device = device or default_device()
-    plan = DistancePlan(len(mesh.faces), sign or default_sign(mesh, device), located)
-    return DistanceJob(mesh, plan, device, max_memory)
+    inside, sign = inside_for(mesh, fill, device)
+    plan = DistancePlan(len(mesh.faces), sign, located)
+    return DistanceJob(mesh, inside, plan, device, max_memory)
 
 
 @dataclass(frozen=True)
@@ -176,9 +225,23 @@ class DistanceGridJob(Job[np.ndarray]):
     voxels: VoxelizeJob | None
     device: Device
     max_memory: int | None
+    octree: Octree | None = None  # once it has run: what is inside
+
+    def settle(self) -> None:
+        if self.voxels:
+            self.voxels.settle()
+            self.plan = replace(self.plan, voxels=self.voxels.plan)
+
+    def notes(self, result: np.ndarray) -> list[str]:
+        """Return lines about what was decided to be inside."""
+        return self.voxels.notes(self.octree) if self.voxels and self.octree else []
+
+    def doubts(self, result: np.ndarray) -> list[str]:
+        """Return those about decisions in doubt."""
+        return self.voxels.doubts(self.octree) if self.voxels and self.octree else []
 
     def _run(self) -> np.ndarray:
-        octree = self.voxels.run(self._progress) if self.voxels else None
+        octree = self.octree = self.voxels.run(self._progress) if self.voxels else None
         distances = self._magnitudes()
         if octree is None:
             return distances

@@ -28,7 +28,11 @@ from voxtool.opencl import Device, default_device
 from voxtool.report_text import counted, lines
 from voxtool.spatial.bvh import Frame, build_tree
 from voxtool.spatial.nesting import nest
-from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
+from voxtool.spatial.self_intersections import (
+    UNDECIDED,
+    crossing_shells,
+    find_self_intersections,
+)
 from voxtool.svo.compare import count_differences, leaking_rows
 from voxtool.svo.shares import Share, outer_surface, share_of
 from voxtool.svo.voxelize import plan_voxelize, voxelize
@@ -44,8 +48,8 @@ STAGES = ("topology", "self-intersections", "nesting", *RULES, "auto", "outer su
 MAX_EXPONENT = 250  # of an extent: squares of areas, and cubes of lengths, are in float64
 LISTED = 1000  # faces, edges or rows in a list
 REMOVE_INSIDE = "remove the faces inside, or fill by winding"
-UNITE = "unite the parts, or fill by winding or nonzero"
-REVERSE_CAVITIES = "reverse the faces of cavities, or fill by winding"
+UNITE = "none needed if parts overlap: fill auto unites them; repair leaves out what is inside"
+REVERSE_CAVITIES = "reverse the faces of cavities; fill auto unites shells that are wound alike"
 JSON_NAMES = {"self_intersecting_faces": "crossed_faces", "hint": "mend"}  # since version 0.1
 
 
@@ -94,14 +98,14 @@ class Report:
     auto : str
         The fill rule that `fill="auto"` takes, with its gap.
     choice : str
-        Why, if it compared rules; "" for consistent meshes.
+        Why, if it compared rules, unites parts or turns faces; otherwise "".
     outer_surface : int
         Voxels of the outer surface: those that touch a face, beside what a flood reaches.
     fills : dict
-        For each fill rule, and "auto" if it compared rules, its voxels, those missing and extra
+        For each fill rule, and "auto" if it is none of them, its voxels, those missing and extra
         compared with the recommended one, and the share of the outer surface that it keeps.
     recommended : dict
-        Fill rule, sign, and why.
+        Fill rule, and why.
     faults : list of Fault
         What is wrong, and what helps.
     boundary : Loops
@@ -193,7 +197,7 @@ def diagnose(
         "undecided_faces": int(np.count_nonzero(intersecting == UNDECIDED)),
     }
     enter("nesting")
-    found["shells"] = _shell_rows(mesh, topology, loops, device)
+    found["shells"] = _shell_rows(mesh, topology, loops, intersecting, device)
     found["patches"] = _patch_rows(mesh, topology)
     octrees = {}
     with warnings.catch_warnings(action="ignore", category=MeshWarning):  # the report says more
@@ -202,9 +206,10 @@ def diagnose(
             octrees[rule] = voxelize(mesh, grid, fill=rule, device=device)
         enter("auto")
         job = plan_voxelize(mesh, grid, device=device)
-        if job.choice:
+        job.settle()
+        found |= {"auto": job.plan.rule, "choice": job.inside.why if job.inside else ""}
+        if found["choice"] and job.plan.fill != "parity":
             octrees["auto"] = job.run()
-        found |= {"auto": job.plan.rule, "choice": job.plan.choice}
         enter("outer surface")
         surface = voxelize(mesh, grid, "surface26", device=device)
         outer = outer_surface(surface, octrees["flood"], device)
@@ -251,10 +256,11 @@ def _listed_faces(mesh: Mesh, chosen: np.ndarray) -> dict[str, Any]:
 
 
 def _shell_rows(
-    mesh: Mesh, topology: Topology, loops: Loops, device: Device
+    mesh: Mesh, topology: Topology, loops: Loops, intersecting: np.ndarray, device: Device
 ) -> list[dict[str, Any]]:
     shells = find_shells(mesh, topology, loops)
-    nesting = nest(mesh, shells, device)
+    crossing = crossing_shells(device, mesh, shells.of, intersecting)
+    nesting = nest(mesh, shells, crossing, device)
     rows = _rows(
         faces=shells.faces,
         closed=shells.closed,
@@ -321,18 +327,12 @@ def _compared(
     octrees: dict[str, Octree], shares: dict[str, Share], found: dict[str, Any]
 ) -> dict[str, Any]:
     """Return the voxels of each fill rule, the recommended one, and the rows that leak."""
-    fill, why = _recommended_fill(found, shares)
+    fill, why = _recommended_fill(found, octrees)
     rules = {}
     for rule, octree in octrees.items():
         extra, missing = count_differences(octree, octrees[fill])
         rules[rule] = {"voxels": octree.count, "missing": missing, "extra": extra}
         rules[rule]["share"] = shares[rule].permille / 1000
-    certain = (
-        found["diagnosis"].watertight
-        and not found["degenerate_faces"]["count"]
-        and not _overlaps(found)
-        and not found["undecided_faces"]
-    )
     rows = leaking_rows(octrees["parity"])
     _, ny, nz = octrees["parity"].grid.shape
     return {
@@ -344,34 +344,22 @@ def _compared(
             "rows": rows[:LISTED].tolist(),
         },
         "fills": rules,
-        "recommended": {"fill": fill, "sign": "pseudonormal" if certain else "winding", "why": why},
+        "recommended": {"fill": fill, "why": why},
     }
-
-
-def _overlaps(found: dict[str, Any]) -> bool:
-    """Return whether parts of a mesh intersect, or are nested and wound alike."""
-    return found["self_intersecting_faces"]["count"] > 0 or "nested alike" in _roles(found)
 
 
 def _roles(found: dict[str, Any]) -> list[str]:
     return [shell["is"] for shell in found["shells"]]
 
 
-def _recommended_fill(found: dict[str, Any], shares: dict[str, Share]) -> tuple[str, str]:
-    """Return the fill rule that suits a mesh, and why."""
-    if found["choice"]:
-        return "auto", found["choice"]
-    fill, why = found["auto"], "the mesh is closed, and the rules agree on it"
-    if fill != "parity":
-        why = "it suits meshes that are open, or doubled"
-    elif _overlaps(found):
-        fill, why = "nonzero", "overlapping and nested parts are united; parity would cut them out"
-    if shares[fill].enough:
-        return fill, why
-    return "flood", (
-        f"{fill} keeps {shares[fill]} of the outer surface; flood sets the surface and what it "
-        "encloses"
-    )
+def _recommended_fill(found: dict[str, Any], octrees: dict[str, Octree]) -> tuple[str, str]:
+    """Return the fill rule that suits a mesh, which is that of "auto", and why."""
+    if "auto" in octrees:
+        united = ": their union is filled" * ("parts overlap" in found["choice"])
+        return "auto", found["choice"] + united
+    if found["auto"] == "parity":
+        return "parity", "the mesh is closed, and no row has a winding number other than 0 and 1"
+    return found["auto"], "it suits meshes that are open, or doubled"
 
 
 def _faults(found: dict[str, Any]) -> Iterator[Fault]:

@@ -58,7 +58,6 @@ def lines(report: Report) -> Iterator[str]:
     if best["fill"] == "auto":
         chosen = f", which takes {report.auto}"
     yield _row("advice", f"voxelize --fill {best['fill']}{chosen}: {best['why']}")
-    yield _row("", f"adf-build --sign {best['sign']}")
 
 
 def _loop_lines(report: Report) -> Iterator[str]:

@@ -48,8 +48,9 @@ bool left_of(double3 a, double3 b)
     return twice != 0 ? twice > 0 : a.y != b.y ? b.y > a.y : b.x > a.x;
 }
 
-// 1 if the line crosses a triangle ahead of its point, -1 if it does behind it, otherwise 0.
-int crossing(const line *l, const double3 *corners)
+// 1 if the line crosses a triangle ahead of its point, -1 if it does behind it, otherwise 0; crossings
+// as near as `least` are left out. *leaves: whether the line then leaves what the triangle bounds.
+int crossing(const line *l, const double3 *corners, double least, bool *leaves)
 {
     double3 v[3];
     for (uint i = 0; i < 3; ++i)
@@ -62,9 +63,10 @@ int crossing(const line *l, const double3 *corners)
     if (whole == 0)
         return 0;
     const double at = (u * v[0].z + w * v[1].z + t * v[2].z) / whole;
-    if (fabs(at) <= 1.0 / (1ul << TOUCHING_BITS))
+    if (fabs(at) <= least)
         return 0;
     const double d = l->longest == 0 ? l->along.x : l->longest == 1 ? l->along.y : l->along.z;
+    *leaves = left == (d > 0);
     return (at > 0) == (d > 0) ? 1 : -1;
 }
 
@@ -122,7 +124,8 @@ __kernel void count_crossings(const uint n, __global const double *points, __glo
                 double3 corners[3];
                 for (uint k = 0; k < 3; ++k)
                     corners[k] = vload3(faces[3 * (size_t)face + k], vertices);
-                const int side = face == own[gid] ? 0 : crossing(&l, corners);
+                bool leaves;
+                const int side = face == own[gid] ? 0 : crossing(&l, corners, 1.0 / (1ul << TOUCHING_BITS), &leaves);
                 found[0] += side > 0;
                 found[1] += side < 0;
             }
@@ -130,4 +133,49 @@ __kernel void count_crossings(const uint n, __global const double *points, __glo
     }
     ahead[gid] = found[0];
     behind[gid] = found[1];
+}
+
+// counts[i] = how many faces the row along x through point i crosses before it, numbers[i] = how many
+// of them enter minus how many leave, for the points which[..].
+__kernel void count_before(const uint n, __global const double *points, __global const uint *which,
+                           __global const double *vertices, __global const int *faces,
+                           __global const uint *face_of, const uint triangles,
+                           __global const float *nodes, const uint first_leaf, __global uint *counts,
+                           __global int *numbers)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint point = which[gid];
+    const line l = line_of(vload3(point, points), (double3)(1, 0, 0));
+    uint ids[STACK], top = 1, found = 0;
+    int number = 0;
+    ids[0] = 0;
+    while (top > 0) {
+        const uint id = ids[--top];
+        long hit[ARITY];
+        vstore8(met(nodes, id, &l), 0, hit);
+        for (uint i = 0; i < ARITY; ++i) {
+            if (!hit[i])
+                continue;
+            const uint child = ARITY * id + 1 + i;
+            if (child < first_leaf) {
+                ids[top++] = child;
+                continue;
+            }
+            const uint begin = (child - first_leaf) * LEAF;
+            for (uint slot = begin; slot < min(begin + LEAF, triangles); ++slot) {
+                double3 corners[3];
+                for (uint k = 0; k < 3; ++k)
+                    corners[k] = vload3(faces[3 * (size_t)face_of[slot] + k], vertices);
+                bool leaves;
+                if (crossing(&l, corners, 0, &leaves) < 0) {
+                    ++found;
+                    number += leaves ? -1 : 1;
+                }
+            }
+        }
+    }
+    counts[point] = found;
+    numbers[point] = number;
 }

@@ -33,7 +33,7 @@ from voxtool.adf.levels import (
     windows_of,
 )
 from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
-from voxtool.adf.survey import Survey, cube_of
+from voxtool.adf.survey import Decide, Survey, cube_of
 from voxtool.adf.waiting import Store, Waiting
 from voxtool.errors import human
 from voxtool.job import Job
@@ -45,7 +45,7 @@ from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT
 from voxtool.spatial.distance import SOURCE as DISTANCE
-from voxtool.spatial.signed_distance import default_sign
+from voxtool.spatial.fill_rule import inside_as_wound
 from voxtool.spatial.signed_distance import programs as of_distances
 from voxtool.spatial.winding_number import SOURCE as WINDING
 
@@ -59,6 +59,7 @@ def plan_adf(
     mesh: Mesh,
     *,
     sign: str | None = None,
+    decide: Decide = inside_as_wound,
     device: Device | None = None,
     max_memory: int | None = None,
     stores: Callable[[], Store] | None = None,
@@ -66,12 +67,13 @@ def plan_adf(
 ) -> FieldJob:
     """Return the job of building the distance field of a mesh.
 
-    stores: makes a store where levels and blocks wait that exceed max_memory; without it the field
-    is refused. request: tolerance, max_level, band, continuous, bounds, max_bytes, measure and
-    max_texture, as in voxtool.build_adf.
+    sign: one of voxtool.choices.FIELD_SIGNS, or None for that of what `decide` returns, given mesh
+    and device. stores: makes a store where levels and blocks wait that exceed max_memory; without
+    it the field is refused. request: tolerance, max_level, band, continuous, bounds, max_bytes,
+    measure and max_texture, as in voxtool.build_adf.
     """
     plan = FieldPlan(triangles=len(mesh.faces), sign=sign or "", **request)
-    survey = Survey(mesh, device or default_device(), signed=sign != "none")
+    survey = Survey(mesh, device or default_device(), sign != "none", decide)
     plan = replace(
         plan,
         flat=survey.flat,
@@ -127,7 +129,8 @@ class FieldJob(Job["DistanceField"]):
         job._build = None
         signed = job._plan.sign != "none"
         if signed != self._survey.signed:
-            job._survey = Survey(self._survey.mesh, self._survey.device, signed)
+            survey = self._survey
+            job._survey = Survey(survey.mesh, survey.device, signed, survey.decide)
         return job
 
     def refuse(self) -> None:
@@ -166,28 +169,35 @@ class FieldJob(Job["DistanceField"]):
             )
 
     def notes(self, result: DistanceField) -> Iterator[str]:
-        """Yield a remark if voxels and levels waited on the disk."""
+        """Yield what was decided to be inside, and whether voxels and levels waited on the disk."""
+        yield from self.doubts(result)
         if self._plan.stored:
             most = human(self._memory[0])
             yield f"built in windows: what does not fit in {most} waited on the disk"
 
+    def doubts(self, result: DistanceField) -> list[str]:
+        """Return a line on what was decided to be inside, if there is something to say."""
+        survey = self._survey
+        automatic = survey.inside and self._plan.sign == survey.inside.sign
+        return survey.inside.note(survey.mesh) if survey.inside and automatic else []
+
     def sign_finding(self) -> str:
-        """Return why signs by pseudo-normals are uncertain, and what is done; "" if certain."""
-        plan, mesh = self._plan, self._survey.mesh
-        if plan.sign == "none" or plan.closed:
+        """Return why signs are uncertain, and what is done; "" if they are certain, or parts of a
+        closed mesh are united."""
+        plan, survey, mesh = self._plan, self._survey, self._survey.mesh
+        if plan.sign == "none" or plan.closed or (survey.inside and survey.inside.parts):
             return ""
         wrong = []
-        if _is_warned(self._survey, plan):
-            wrong.append(f"is {once(check_topology)(mesh, self._survey.device).summary()}")
+        if _is_warned(survey, plan):
+            wrong.append(f"is {once(check_topology)(mesh, survey.device).summary()}")
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
         if plan.undecided:
             wrong.append(f"may intersect itself in {plan.undecided:,} faces, near many others")
         if not wrong:
-            shells = "has nested shells with the same winding"
-            wrong.append("is treated as open" if self._survey.closed else shells)
+            wrong.append("is treated as open")
         done = (
-            "signs by pseudo-normals may be wrong: choose --sign winding"
+            "signs by pseudo-normals may be wrong: choose fill winding"
             if plan.sign == "pseudonormal"
             else "inside is where its winding number is over 1/2"
         )
@@ -211,9 +221,9 @@ def _programs(survey: Survey, plan: FieldPlan) -> list[Request]:
 
 def _is_warned(survey: Survey, plan: FieldPlan) -> bool:
     """Return whether a warning says how the mesh's edges make signs uncertain."""
-    if plan.sign == "none" or plan.closed:
+    if plan.sign == "none" or plan.closed or not survey.inside:
         return False
-    return default_sign(survey.mesh, survey.device) != "pseudonormal"
+    return survey.inside.meeting is None or survey.flat > 0
 
 
 class _Build:

@@ -63,7 +63,7 @@ class DistanceField(Data):
     origin, side : tuple of float, float
         Of the cube, in world units: world = origin + side * point.
     sign : str
-        Method of the sign, one of voxtool.choices.SIGNS, or GIVEN.
+        Method of the sign, one of voxtool.choices.FIELD_SIGNS, or GIVEN.
     tolerance, max_level, band : float, int, float
         As requested: sides, level, and sides or infinity.
     continuous : bool

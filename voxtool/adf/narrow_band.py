@@ -108,7 +108,7 @@ class LevelSet:
             spacing = source.side / cells_along(source, MAX_DIM)
         if source.sign == "none":
             raise VoxtoolError(
-                "a level set has an inside, and this field has none: build it with --sign winding"
+                "a level set has an inside, and this field has none: build it without --fill none"
             )
         if not 1 <= band <= MAX_DIM:
             raise VoxtoolError(f"a band of {band:g} voxels: it has 1 to {MAX_DIM:,}")

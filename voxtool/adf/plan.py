@@ -16,10 +16,10 @@ from voxtool.choices import (
     DEFAULT_MAX_LEVEL,
     DEFAULT_TEXTURE_3D,
     DEFAULT_TOLERANCE,
+    FIELD_SIGNS,
     MAX_LEVEL,
     MAX_TEXTURE_3D,
     MIN_TEXTURE_3D,
-    SIGNS,
 )
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost
@@ -77,8 +77,8 @@ class FieldPlan:
             raise VoxtoolError(f"max level {self.max_level}: choose 1 to {MAX_LEVEL}")
         if not (0 <= self.band <= FAR or self.band == math.inf):
             raise VoxtoolError(f"band {self.band:g}: give 0 to {FAR:g} sides of the cube, or inf")
-        if self.sign and self.sign not in SIGNS:
-            raise VoxtoolError(f"sign {self.sign!r}: choose one of {', '.join(SIGNS)}")
+        if self.sign and self.sign not in FIELD_SIGNS:
+            raise VoxtoolError(f"sign {self.sign!r}: choose one of {', '.join(FIELD_SIGNS)}")
         if self.max_bytes is not None and self.max_bytes < BLOCK_BYTES:
             raise VoxtoolError(f"max bytes {self.max_bytes}: one block takes {BLOCK_BYTES}")
         if not MIN_TEXTURE_3D <= self.max_texture <= MAX_TEXTURE_3D:

@@ -4,6 +4,7 @@ the data that separate inside from outside."""
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
@@ -19,13 +20,14 @@ from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT, SCAN
 from voxtool.spatial.bvh import SOURCE as TREE
 from voxtool.spatial.bvh import Frame, build_tree, distinct_faces
+from voxtool.spatial.fill_rule import Inside, inside_as_wound, meeting_faces
 from voxtool.spatial.pseudonormals import Pseudonormals, face_normals, pseudonormals
 from voxtool.spatial.self_intersections import SOURCE as SELF_INTERSECTIONS
-from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
-from voxtool.spatial.sides import find_sides, shells_agree
-from voxtool.spatial.signed_distance import default_sign
+from voxtool.spatial.self_intersections import UNDECIDED
+from voxtool.spatial.sides import find_sides
 from voxtool.spatial.winding_number import WindingNumber
 
+Decide = Callable[[Mesh, Device], Inside]
 MARGIN = 1 / 16  # of the cube's side, on both sides of the mesh's longest side
 REACH = 2.0  # of winding numbers: an error of 5e-3 is enough for signs, in half the time
 
@@ -33,16 +35,20 @@ REACH = 2.0  # of winding numbers: an error of 5e-3 is enough for signs, in half
 class Survey:
     """A mesh on the device, ready for the construction of a field.
 
-    signed: whether distances have a sign; normals: the pseudo-normals, if they have; tree: the
+    mesh: with the faces turned that `decide` turns; signed: whether distances have a sign; inside:
+    what `decide` returns, or None; normals: the pseudo-normals, if they have; tree: the
     triangles, in the mesh's own frame; flat: number of triangles without area; crossed: (F,) bool,
     faces that intersect or repeat others, or may; undecided: number of those that may; closed: True
-    if the mesh is closed, consistently wound and free of self-intersections, and its shells agree
-    on what is inside; extent: half of the cube's side, in the frame; misplaced: upper bound of the
-    distance, in sides, by which rounding moves a point.
+    if pseudo-normals are certain (fill_rule.py); extent: half of the cube's side, in the frame;
+    misplaced: upper bound of the distance, in sides, by which rounding moves a point.
     """
 
-    def __init__(self, mesh: Mesh, device: Device, signed: bool) -> None:
-        self.mesh, self.device, self.signed = mesh, device, signed
+    inside: Inside | None = None
+
+    def __init__(
+        self, mesh: Mesh, device: Device, signed: bool, decide: Decide = inside_as_wound
+    ) -> None:
+        self.mesh, self.device, self.signed, self.decide = mesh, device, signed, decide
         self.crossed = np.zeros(len(mesh.faces), bool)
         self.flat, self.undecided, self.closed = 0, 0, False
         self.normals: Pseudonormals | None = None
@@ -53,16 +59,22 @@ class Survey:
                 distinct = beside.submit(distinct_faces, mesh)
                 faces = face_normals(mesh)
                 summed = beside.submit(pseudonormals, mesh, faces)
+                inside = self.inside = decide(mesh, device)
+                found = inside.meeting
+                if found is None:
+                    found = meeting_faces(mesh, device)
+                    twins = twins_of(mesh)
+                    if twins is not None:
+                        found = np.where(np.bincount(twins)[twins] > 1, np.uint8(1), found)
+                if inside.oriented:
+                    mesh = self.mesh = inside.oriented
+                    faces = face_normals(mesh)
+                    summed = beside.submit(pseudonormals, mesh, faces)
                 self.tree = build_tree(device, mesh, faces.flat, distinct.result())
-                found = find_self_intersections(device, mesh, self.tree)
             self.flat, self.normals = int(np.count_nonzero(faces.flat)), summed.result()
-            twins = twins_of(mesh)
-            if twins is not None:
-                found[np.bincount(twins)[twins] > 1] = 1
             self.crossed = found != 0
             self.undecided = int(np.count_nonzero(found == UNDECIDED))
-            self.closed = default_sign(mesh, device) == "pseudonormal" and not self.crossed.any()
-            self.closed = self.closed and shells_agree(mesh, self.normals, device, self.tree)
+            self.closed = inside.simple
         else:
             self.tree = build_tree(device, mesh, None, distinct_faces(mesh))
         self.extent = _extent(mesh, self.tree.frame)

@@ -8,7 +8,6 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from voxtool import distances
-from voxtool.adf import build as adf
 from voxtool.adf import query as adf_query
 from voxtool.adf.build import FieldJob
 from voxtool.adf.field import DistanceField
@@ -29,7 +28,7 @@ from voxtool.files.spool import Spool
 from voxtool.files.streams import STREAM
 from voxtool.grid import Grid, grid_of
 from voxtool.job import one_call
-from voxtool.opencl import Device
+from voxtool.opencl import Device, default_device
 from voxtool.spatial import signed_distance
 from voxtool.spatial.signed_distance import DistanceResult
 
@@ -40,7 +39,7 @@ def plan_adf(
     tolerance: float = DEFAULT_TOLERANCE,
     max_level: int = DEFAULT_MAX_LEVEL,
     band: float = math.inf,
-    sign: str | None = None,
+    fill: str = FILLS[0],
     continuous: bool = True,
     bounds: bool = True,
     max_bytes: int | None = None,
@@ -67,11 +66,10 @@ def plan_adf(
         Level at which leaves are no longer refined, 1 to 21.
     band : float
         Cells further than this from the surface are not refined.
-    sign : str, optional
-        "pseudonormal", "winding" or "none". By default "pseudonormal" for meshes that are closed,
-        consistently wound, free of self-intersections, and without nested shells of the same
-        winding; "winding" for all others. On these, "pseudonormal" may give wrong signs, and bounds
-        are those of the unsigned distance.
+    fill : str
+        What is inside: "auto", "winding" or "none" (no distance is negative), or "parity" or
+        "nonzero" for closed meshes whose parts do not overlap; see voxelize. Signs are computed by
+        pseudo-normals where they are certain, otherwise by winding numbers.
     continuous : bool
         Whether leaves of different levels agree on their common faces.
     bounds : bool
@@ -111,8 +109,8 @@ def plan_adf(
     ----------
     [ADF], [Frisken 2000]
     """
-    return adf.plan_adf(
-        as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band, sign=sign,
+    return distances.plan_field(
+        as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band, fill=fill,
         continuous=continuous, bounds=bounds, max_bytes=max_bytes, measure=measure,
         max_texture=max_texture, device=device, max_memory=max_memory, stores=lambda: Spool(STREAM),
     )  # fmt: skip
@@ -177,16 +175,21 @@ class SignedDistance(signed_distance.SignedDistance):
     ----------
     mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
-    sign : str, optional
-        "pseudonormal", "winding" or "none" (no distance is negative). By default "pseudonormal" if
-        the mesh is watertight and every face has an area, otherwise "winding".
+    fill : str
+        What is inside, as in voxelize: "auto", "parity", "nonzero" or "winding"; or "none": no
+        distance is negative. "parity" and "nonzero" count the faces that the row along x crosses
+        before a point.
     device : Device, optional
         Where to compute; the default device if None.
 
     Attributes
     ----------
+    fill : str
+        The rule that decides what is inside: "parity" for closed meshes whose parts do not overlap.
     sign : str
-        How the sign is found.
+        How the sign is computed: by "pseudonormal", "winding" numbers, or the rule of rows.
+    why : str
+        What was found, if parts overlap or are turned; otherwise "".
 
     Raises
     ------
@@ -195,7 +198,7 @@ class SignedDistance(signed_distance.SignedDistance):
     DeviceError
         If there is no device, or it has no double precision.
     VoxtoolError
-        If the sign is unknown.
+        If the rule is unknown, or is "flood", which fills whole voxels.
 
     Examples
     --------
@@ -204,10 +207,12 @@ class SignedDistance(signed_distance.SignedDistance):
     >>> measure([0, 0, 0], gradient=True).gradient
     """
 
-    def __init__(
-        self, mesh: MeshLike, sign: str | None = None, device: Device | None = None
-    ) -> None:
-        super().__init__(as_mesh(mesh), sign, device)
+    def __init__(self, mesh: MeshLike, fill: str = FILLS[0], device: Device | None = None) -> None:
+        device = device or default_device()
+        self.given = as_mesh(mesh)
+        inside, sign = distances.inside_for(self.given, fill, device)
+        self.fill, self.why = inside.fill, inside.why
+        super().__init__(inside.mesh_of(self.given), sign, device)
 
 
 @overload
@@ -215,7 +220,7 @@ def distance(
     mesh: MeshLike,
     points: Any,
     *,
-    sign: str | None = None,
+    fill: str = FILLS[0],
     gradient: Literal[False] = False,
     nearest: Literal[False] = False,
     face: Literal[False] = False,
@@ -226,7 +231,7 @@ def distance(
     mesh: MeshLike,
     points: Any,
     *,
-    sign: str | None = None,
+    fill: str = FILLS[0],
     gradient: bool = False,
     nearest: bool = False,
     face: bool = False,
@@ -236,7 +241,7 @@ def distance(
     mesh: MeshLike,
     points: Any,
     *,
-    sign: str | None = None,
+    fill: str = FILLS[0],
     gradient: bool = False,
     nearest: bool = False,
     face: bool = False,
@@ -253,7 +258,7 @@ def distance(
         The triangle mesh.
     points : (N, 3) or (3,) array_like
         World units; (3,) is one point.
-    sign : str, optional
+    fill : str
         As in SignedDistance.
     gradient, nearest, face : bool
         Whether these are returned as well, in a DistanceResult.
@@ -270,7 +275,8 @@ def distance(
     MeshError
         If the mesh cannot be read, or its extent is beyond 2^±500.
     VoxtoolError
-        If points have a wrong shape, are not finite or 2^500 extents away, or the sign is unknown.
+        If points have a wrong shape, are not finite or 2^500 extents away, or the rule is
+        unknown.
     DeviceError
         If there is no device, or it has no double precision.
 
@@ -278,14 +284,14 @@ def distance(
     ----------
     [Baerentzen 2005] for pseudo-normals, [Jacobson 2013] and [Barill 2018] for winding numbers.
     """
-    measure = SignedDistance(mesh, sign, device)
+    measure = SignedDistance(mesh, fill, device)
     return measure(points, gradient=gradient, nearest=nearest, face=face)
 
 
 def plan_distance(
     mesh: MeshLike,
     *,
-    sign: str | None = None,
+    fill: str = FILLS[0],
     located: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
@@ -294,13 +300,13 @@ def plan_distance(
 
     Parameters
     ----------
-    mesh, sign, device, max_memory
+    mesh, fill, device, max_memory
         As in SignedDistance and voxelize.
     located : bool
         Whether gradients, nearest points or faces will be requested.
     """
     return distances.plan_distance(
-        as_mesh(mesh, max_memory), sign=sign, located=located, device=device, max_memory=max_memory
+        as_mesh(mesh, max_memory), fill=fill, located=located, device=device, max_memory=max_memory
     )
 
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.adf.accuracy import measure_errors
-from voxtool.adf.build import plan_adf
 from voxtool.adf.cells import cell_of, key_of
 from voxtool.adf.hashing import build_hash
 from voxtool.adf.query import FieldQuery
@@ -26,9 +25,9 @@ from voxtool.bench import ablation, timing
 from voxtool.bench.distance import build_seconds
 from voxtool.bench.points import MEASURES
 from voxtool.bench.references import distances_compared
+from voxtool.distances import plan_distance, plan_field
 from voxtool.files.mesh import load_mesh
 from voxtool.spatial.sampling import sample_cube
-from voxtool.spatial.signed_distance import SignedDistance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -83,8 +82,8 @@ def measure(bench: Bench) -> Iterator[Point | Ablation]:
 def _plan(
     mesh: Mesh, device: Device, asked: Request, level: int, tolerance: float
 ) -> Job[DistanceField]:
-    return plan_adf(
-        mesh, tolerance=tolerance, max_level=level, band=asked.band, sign=asked.sign,
+    return plan_field(
+        mesh, tolerance=tolerance, max_level=level, band=asked.band, fill=asked.fill,
         measure=False, device=device,
     )  # fmt: skip
 
@@ -173,8 +172,8 @@ class _Exact:
 def _exact_distances(mesh: Mesh, bench: Bench) -> Iterator[_Exact]:
     """The exact distances, and other tools, at the points of each kind."""
     asked, others = replace(bench.request, peers=True), timing.Peers(bench.request.repeat)
-    exact = SignedDistance(mesh, asked.sign, bench.timed)
-    build = build_seconds(mesh, asked.sign, bench)
+    exact = plan_distance(mesh, fill=asked.fill, device=bench.timed).run()
+    build = build_seconds(mesh, bench)
     for kind, places in points_of(mesh, asked).items():
         row = partial(
             replace(bench, request=asked).point, WORK[kind].format(len(places)),

@@ -20,14 +20,13 @@ from voxtool.adf.survey import cube_of
 from voxtool.bench import timing
 from voxtool.bench.references import distance_errors
 from voxtool.choices import SURFACE_NETS
-from voxtool.distances import plan_distance_grid
+from voxtool.distances import plan_distance, plan_distance_grid
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.selftest.oracles import distances
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.hausdorff import hausdorff
 from voxtool.spatial.sampling import SurfaceSampler, sample_cube
-from voxtool.spatial.signed_distance import SignedDistance, default_sign
 from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.voxelize import plan_voxelize
 
@@ -55,21 +54,24 @@ def measure(bench: Bench) -> Iterator[Point]:
     yield from _between_meshes(mesh, bench)
 
 
-def build_seconds(mesh: Mesh, sign: str | None, bench: Bench) -> float:
-    """Median seconds to prepare exact distances to a mesh that the device does not have."""
-    return statistics.median(
-        timing.times(lambda: SignedDistance(replace(mesh), sign, bench.timed), bench.request.repeat)
-    )
+def build_seconds(mesh: Mesh, bench: Bench) -> float:
+    """Median seconds to decide what is inside of a mesh that the device does not have, and to
+    prepare exact distances to it."""
+    plan = partial(plan_distance, fill=bench.request.fill, device=bench.timed)
+    return statistics.median(timing.times(lambda: plan(replace(mesh)).run(), bench.request.repeat))
 
 
 def _at_points(mesh: Mesh, bench: Bench) -> Iterator[Point]:
     """Distances at one point, a thousand, and many; with and without nearest points."""
     asked, (origin, side) = bench.request, cube_of(mesh)
-    sign = asked.sign or default_sign(mesh)
     places = origin + side * sample_cube(asked.points)
     exact = exact_distances(mesh, places[:CHECKED])
-    figures = {"triangles": len(mesh.faces), "build": build_seconds(mesh, sign, bench)}
-    every = {device: SignedDistance(mesh, sign, device) for device in (bench.timed, bench.profiled)}
+    figures = {"triangles": len(mesh.faces), "build": build_seconds(mesh, bench)}
+    every = {
+        device: plan_distance(mesh, fill=asked.fill, device=device).run()
+        for device in (bench.timed, bench.profiled)
+    }
+    sign = every[bench.timed].sign
     methods = {f"sign {sign}": {}, f"sign {sign}, gradient, nearest point, face": LOCATED}
     for count, (method, located) in product(sorted({1, 1000, asked.points}), methods.items()):
         some = places[:count]
@@ -77,7 +79,7 @@ def _at_points(mesh: Mesh, bench: Bench) -> Iterator[Point]:
         yield bench.point(
             f"exact distances at {count:,} random point{'s' * (count > 1)}", method,
             run=lambda device, some=some, located=located: every[device](some, **located),
-            asked={"points": count, "sign": sign}, figures=figures, places=count,
+            asked={"points": count, "fill": asked.fill}, figures=figures, places=count,
             errors=distance_errors(found, exact[:count], side),
         )  # fmt: skip
 

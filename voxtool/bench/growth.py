@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.build import plan_adf
 from voxtool.adf.query import query_adf
 from voxtool.adf.survey import cube_of
 from voxtool.bench.request import is_volume
 from voxtool.camera import Camera
 from voxtool.choices import MARCHING_CUBES, SURFACE_NETS
+from voxtool.distances import plan_distance, plan_field
 from voxtool.files import read_unstructured
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
@@ -27,7 +27,6 @@ from voxtool.mesh.watertight import watertight
 from voxtool.rendering import camera_for, plan_render, render
 from voxtool.selftest.shapes import subdivide
 from voxtool.spatial.sampling import sample_cube
-from voxtool.spatial.signed_distance import SignedDistance, default_sign
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.voxelize import voxelize
 from voxtool.tets.conforming import tetrahedra
@@ -90,7 +89,7 @@ def _subdivided_volume(bench: Bench) -> Iterator[Point]:
 def _of_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
     """Each kind of work on a mesh that the device does not have."""
     grid, (origin, side) = Grid.fit(mesh, DIM), cube_of(mesh)
-    places, sign = origin + side * sample_cube(POINTS), default_sign(mesh)
+    places = origin + side * sample_cube(POINTS)
     works: Works = {
         "closed or not": lambda device: watertight(mesh, device),
         f"surface26, dim {DIM}": lambda device: voxelize(
@@ -99,12 +98,12 @@ def _of_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
         f"solid, parity, dim {DIM}": lambda device: voxelize(
             replace(mesh), grid, fill="parity", device=device
         ),
-        f"field, levels to {LEVEL}, tolerance {TOLERANCE:g}": lambda device: plan_adf(
+        f"field, levels to {LEVEL}, tolerance {TOLERANCE:g}": lambda device: plan_field(
             replace(mesh), tolerance=TOLERANCE, max_level=LEVEL, measure=False, device=device
         ).run(),
-        f"exact distances at {POINTS:,} points": lambda device: SignedDistance(
-            replace(mesh), sign, device
-        )(places),
+        f"exact distances at {POINTS:,} points": lambda device: plan_distance(
+            replace(mesh), device=device
+        ).run()(places),
     }
     count = len(mesh.faces)
     return _points(
@@ -135,7 +134,7 @@ def _of_level(mesh: Mesh, level: int, bench: Bench) -> Iterator[Point]:
     """A field, and queries of it."""
     tolerance, (origin, side) = min(bench.request.tolerances), cube_of(mesh)
     places = origin + side * sample_cube(POINTS)
-    build = partial(plan_adf, mesh, tolerance=tolerance, max_level=level, measure=False)
+    build = partial(plan_field, mesh, tolerance=tolerance, max_level=level, measure=False)
     field = build(device=bench.timed).run()
     works: Works = {
         f"field, tolerance {tolerance:g}": lambda device: build(device=device).run(),
@@ -151,7 +150,7 @@ def _of_level(mesh: Mesh, level: int, bench: Bench) -> Iterator[Point]:
 def _of_pixels(mesh: Mesh, bench: Bench) -> Iterator[Point]:
     """Larger and larger pictures, one ray a pixel."""
     octree = voxelize(mesh, Grid.fit(mesh, DIM), device=bench.timed)
-    field = plan_adf(
+    field = plan_field(
         mesh, tolerance=TOLERANCE, max_level=LEVEL, measure=False, device=bench.timed
     ).run()
     camera = camera_for(octree, "iso", fov=None)

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.build import build_adf
 from voxtool.bench import timing
+from voxtool.distances import plan_field
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.rendering import camera_for, plan_render
@@ -51,7 +51,8 @@ def contents_of(mesh: Mesh, bench: Bench) -> dict[tuple[str, str], tuple[Content
         octree = voxelize(mesh, Grid.fit(mesh, dim), device=device)
         contents["octree", f"dim {dim}"] = octree, {"dims": dim}
     for level, tolerance in product(asked.levels, asked.tolerances):
-        field = build_adf(mesh, device, tolerance=tolerance, max_level=level, sign=asked.sign)
+        request = {"tolerance": tolerance, "max_level": level, "fill": asked.fill}
+        field = plan_field(mesh, device=device, **request).run()
         method = f"field, levels to {level}"
         settings = {"levels": level, "tolerances": tolerance}
         contents[method, f"tolerance {tolerance:g}"] = field, settings

@@ -7,7 +7,15 @@ import shlex
 from dataclasses import dataclass
 from typing import Any
 
-from voxtool.choices import MARCHING_CUBES, METHODS, MODES, SEARCHES, SHARP, SURFACE_NETS
+from voxtool.choices import (
+    MARCHING_CUBES,
+    METHODS,
+    MODES,
+    POINT_FILLS,
+    SEARCHES,
+    SHARP,
+    SURFACE_NETS,
+)
 
 KINDS = ("random", "rays")  # of points: quasi-random ones, and those along rays, in order
 INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "sampled:16")
@@ -16,12 +24,12 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "voxelize": ("dims", "modes", "fills", "fit", "samples"),
     "extract": ("dims", "fills", "styles", "isovalue", "samples"),
     "surfaces": ("tolerances", "levels", "samples"),
-    "adf": ("tolerances", "levels", "band", "sign", "points", "kinds", "searches"),
-    "distance": ("points", "sign", "grids", "fills"),
-    "pictures": ("sizes", "view", "dims", "levels", "tolerances", "sign"),
+    "adf": ("tolerances", "levels", "band", "fill", "points", "kinds", "searches"),
+    "distance": ("points", "fill", "grids", "fills"),
+    "pictures": ("sizes", "view", "dims", "levels", "tolerances", "fill"),
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
-    "view": ("dims", "levels", "tolerances", "sign", "scalar", "component"),
+    "view": ("dims", "levels", "tolerances", "fill", "scalar", "component"),
     "fractions": ("dims",),
     "attributes": ("dims",),
     "exchange": ("dims",),
@@ -63,7 +71,7 @@ class Request:
     tolerances: tuple[float, ...] = (1e-2, 3e-3, 1e-3)
     levels: tuple[int, ...] = (5, 7)
     band: float = math.inf
-    sign: str | None = None
+    fill: str = POINT_FILLS[0]
     sphere_level: int = 10
     points: int = 1 << 17
     kinds: tuple[str, ...] = KINDS

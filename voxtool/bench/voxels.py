@@ -126,7 +126,7 @@ def _fills(
             run=lambda device, plan=plan: plan(device=device).run(),
             asked={**settings, **rule},
             setting={"against": against.words, "rule": octree.fill},
-            first=_first_run(mesh, grid, mode, fill, bench.timed) if job.choice else None,
+            first=_first_run(mesh, grid, mode, fill, bench.timed) if job.plan.choice else None,
             figures=figures,
             left_out=job.left_out,
             bytes=octree.nbytes,

@@ -15,7 +15,7 @@ from voxtool.choices import (
     MAX_LEVEL,
     MAX_TEXTURE_3D,
     MIN_TEXTURE_3D,
-    SIGNS,
+    POINT_FILLS,
 )
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
@@ -45,9 +45,8 @@ if TYPE_CHECKING:
     option("--max-texture", click.IntRange(MIN_TEXTURE_3D, MAX_TEXTURE_3D),
         "Texels along an axis of a 3-D texture on the device that shall take the field.  A field "
         "that does not fit is refused.", DEFAULT_TEXTURE_3D, metavar="TEXELS"),
-    option("--sign", SIGNS,
-        "How inside is separated from outside.  [default: pseudonormal if the mesh is closed and "
-        "has no self-intersections, otherwise winding]"),
+    option("--fill", POINT_FILLS,
+        "What is inside, as for voxelize; none: no distance is negative.", POINT_FILLS[0]),
     option("--continuous/--cracks", bool,
         "Leaves of different levels agree on their common faces, or are exact at all corners.",
         True),
@@ -80,8 +79,8 @@ def command(
         raise click.UsageError("--tolerance and --tolerance-world say the same: drop one of them")
     if tolerance_world is not None and not 0 <= tolerance_world < math.inf:
         raise click.UsageError(f"--tolerance-world {tolerance_world:g}: give a length from 0 on")
-    from voxtool.adf.build import plan_adf
     from voxtool.adf.survey import cube_of
+    from voxtool.distances import plan_field
     from voxtool.files import ADF_FORMATS, write_adf
     from voxtool.files.spool import Spool
 
@@ -92,7 +91,7 @@ def command(
             tolerance = tolerance_world / cube_of(loaded)[1]
         request["tolerance"] = DEFAULT_TOLERANCE if tolerance is None else tolerance
         stores = None if windows == "never" else partial(Spool, str(run.output))
-        job = run.plan(plan_adf, loaded, stores=stores, **request)
+        job = run.plan(plan_field, loaded, stores=stores, **request)
         if run.only_plan and (uncertain := job.sign_finding()):
             options.warn(uncertain)
         field = run.job(job)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import FILLS, SIGNS
+from voxtool.choices import POINT_FILLS
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
@@ -49,10 +49,9 @@ def arranged(words: Sequence[str], values: dict[str, Any]) -> tuple[Sequence[str
     flag("--gradient", "Write the gradient, too: gx, gy, gz."),
     flag("--nearest", "Write the nearest point: nearest_x, _y, _z."),
     flag("--face", "Write the number of the nearest face, from 0."),
-    option("--sign", SIGNS,
-        "How the sign of points is found.  [default: pseudonormal if the mesh is closed and "
-        "consistently wound, otherwise winding]"),
-    option("--fill", FILLS, "What counts as inside on a grid, as for voxelize.", FILLS[0]),
+    option("--fill", POINT_FILLS,
+        "What is inside, as for voxelize; none: no distance is negative.  flood goes with a grid.",
+        POINT_FILLS[0]),
     option("--dim", DIM, "Measure a grid of this size."),
     option("--pitch", float, "Measure a grid of voxels of this size."),
     bbox_option,
@@ -68,7 +67,7 @@ def arranged(words: Sequence[str], values: dict[str, Any]) -> tuple[Sequence[str
     "npy", "csv",
 )  # fmt: skip
 def command(
-    run: runner.Run, mesh: str, points: str | None, sign: str | None, fill: str,
+    run: runner.Run, mesh: str, points: str | None, fill: str,
     like: str | None, units: str | None, scale: float, normalize: str | None, float32: bool,
     gradient: bool, nearest: bool, face: bool, **placing: Any,
 ) -> None:  # fmt: skip
@@ -87,12 +86,10 @@ def command(
     whole_grid = on_grid({"like": like, **placing})
     asked = {"gradient": gradient, "nearest": nearest, "face": face}
     if whole_grid:
-        if sign not in (None, "none"):
-            raise click.UsageError("a grid has the signs of voxelize: give --fill, not --sign")
         if any(asked.values()):
             raise click.UsageError("--gradient, --nearest and --face go with POINTS")
-    elif fill != FILLS[0] or float32:
-        raise click.UsageError("--fill and --float32 go with a grid: give --dim")
+    elif float32:
+        raise click.UsageError("--float32 goes with a grid: give --dim")
     else:
         if run.item:
             raise click.UsageError("--workers and --shard go with a grid: give --dim")
@@ -107,7 +104,7 @@ def command(
             grid = options.grid_from(loaded, like, placing)
             facts = measure_grid(run, loaded, grid, fill, "float32" if float32 else "float64")
         else:
-            facts = measure_points(run, loaded, points or "-", sign, asked)
+            facts = measure_points(run, loaded, points or "-", fill, asked)
     count, facts["units"] = facts["points"], loaded.units
     facts["transform"] = list(loaded.transform)
     run.report(f"{count_of(count, 'distance')}, {facts['negative']:,} negative", lambda: facts)
@@ -129,14 +126,14 @@ def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str)
         "negative": int(np.count_nonzero(found < 0)),
         "shape": list(grid.shape),
         **place,
-        "fill": job.plan.voxels.fill if job.plan.voxels else "none",
+        "fill": job.octree.fill if job.octree else "none",
         "low": float(found.min()),
         "high": float(found.max()),
     }
 
 
 def measure_points(
-    run: runner.Run, mesh: Mesh, points: str, sign: str | None, asked: dict[str, bool]
+    run: runner.Run, mesh: Mesh, points: str, fill: str, asked: dict[str, bool]
 ) -> dict[str, Any]:
     """Write the distances of points, block by block; return the facts of the report."""
     import numpy as np
@@ -144,7 +141,8 @@ def measure_points(
     from voxtool.distances import plan_distance
     from voxtool.files.points import read_points
 
-    measure = run.job(run.plan(plan_distance, mesh, sign=sign, located=any(asked.values())))
+    job = run.plan(plan_distance, mesh, fill=fill, located=any(asked.values()))
+    measure = run.job(job)
     columns = [("distance", "f8")]
     columns += [column for what, of in COLUMNS.items() if asked[what] for column in of]
     negative = 0
@@ -157,4 +155,5 @@ def measure_points(
             parts = found if any(asked.values()) else [found]
             negative += int(np.count_nonzero(parts[0] < 0))
             answers.write([part for part in parts if part is not None])
-    return {"points": answers.count, "negative": negative, "sign": measure.sign}
+    decided = {"fill": job.inside.fill, "sign": measure.sign}
+    return {"points": answers.count, "negative": negative, **decided}

@@ -381,7 +381,7 @@ class Run:
 
         Raises
         ------
-        CheckError : with --strict, the library has issued a warning, or what is inside was in doubt.
+        CheckError : with --strict, there is a warning, or a doubt about what is inside.
         """
         on_terminal = sys.stderr and sys.stderr.isatty()
         if "device" in self.__dict__ and not self.item and (on_terminal or self.verbose):

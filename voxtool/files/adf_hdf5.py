@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from voxtool.adf.field import DistanceField
 from voxtool.adf.packing import CHILDREN, VERTICES, layers_of, pack_cells, unpack
 from voxtool.adf.spatial_hash import SpatialHash
-from voxtool.choices import GIVEN, MAX_LEVEL, SIGNS
+from voxtool.choices import FIELD_SIGNS, GIVEN, MAX_LEVEL
 from voxtool.files import hdf5
 from voxtool.files.schema import (
     FINITE,
@@ -84,7 +84,7 @@ OWN = (
     Attribute("r", int, "entries along each axis of `hash`", at="hash.r"),
     Attribute("origin", float, "low corner of the cube, in world units", 3, rule=FINITE),
     Attribute("side", float, "side of the cube, in world units", rule=POSITIVE),
-    Attribute("sign", str, SIGN, 32, choices=(*SIGNS, GIVEN)),
+    Attribute("sign", str, SIGN, 32, choices=(*FIELD_SIGNS, GIVEN)),
     Attribute("tolerance", float, "error asked for, in sides", rule=FROM_ZERO),
     Attribute(
         "max_level", int, f"deepest level allowed for a leaf, at most {MAX_LEVEL}", rule=LEVEL

@@ -42,8 +42,8 @@ UNION = "winding"  # the fill rule that unites parts, once they are turned outwa
 class Inside:
     """What is inside of a mesh, decided once.
 
-    mesh : Mesh
-        The mesh to fill: the given one, or with faces turned.
+    oriented : Mesh or None
+        The mesh to fill, if faces of the given one are turned.
     fill : str
         The rule that fills it, one of voxtool.choices.FILLS, but not "auto".
     simple : bool
@@ -63,7 +63,7 @@ class Inside:
         A flood's gap, in voxels of this side, world units.
     """
 
-    mesh: Mesh
+    oriented: Mesh | None
     fill: str
     simple: bool = False
     meeting: np.ndarray | None = None
@@ -80,6 +80,20 @@ class Inside:
         """How the sign of a distance is found: "pseudonormal" or "winding"."""
         return "pseudonormal" if self.simple else "winding"
 
+    def mesh_of(self, mesh: Mesh) -> Mesh:
+        """Return the mesh to fill, given the mesh that was decided about."""
+        return self.oriented or mesh
+
+    def note(self, mesh: Mesh) -> list[str]:
+        """Return a line of a report on the decision about a mesh, if there is something to say."""
+        if not self.why:
+            return []
+        if self.fill == "flood":
+            done = "; a flood fills whole voxels, so winding numbers decide about points"
+        else:
+            done = ": their union is inside" * (self.parts > 0)
+        return [f"{mesh.name or 'mesh'}: {self.why}{done}"]
+
     def gap_in(self, grid: Grid) -> int:
         """Return the voxels of a grid that are at least as long as the gap."""
         return min(math.ceil(self.gap * (self.pitch / min(grid.pitch))), grid.dim)
@@ -94,7 +108,7 @@ def turn(mesh: Mesh, faces: np.ndarray) -> Mesh:
 
 def inside_as_wound(mesh: Mesh, device: Device) -> Inside:
     """Return what is inside of a mesh: of an open one by winding numbers, as its faces are."""
-    return inside_of_closed(mesh, device) or Inside(mesh, "winding")
+    return inside_of_closed(mesh, device) or Inside(None, "winding")
 
 
 @once
@@ -161,10 +175,10 @@ def _turned(faces: np.ndarray, parts: int) -> str:
     return f"{what} inside out, and turned outward"
 
 
-def _turn(mesh: Mesh, faces: np.ndarray) -> Mesh:
-    """Return a mesh with some faces reversed, given which, (F,) bool."""
+def _turn(mesh: Mesh, faces: np.ndarray) -> Mesh | None:
+    """Return a mesh with some faces reversed, given which, (F,) bool; None if none are."""
     if not faces.any():
-        return mesh
+        return None
     return replace(mesh, faces=np.where(faces[:, None], mesh.faces[:, [0, 2, 1]], mesh.faces))
 
 

@@ -85,14 +85,16 @@ def crossing_shells(device: Device, mesh: Mesh, of: np.ndarray, meeting: np.ndar
     if len(np.unique(of[some])) < 2:
         return np.empty((0, 2), np.int64)
     tree = build_tree(device, mesh, np.zeros(len(of), np.uint8), some)
-    vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
+    names, frame = tree.names, tree.frame
+    assert names  # the tree has names
+    vertices, faces = device.put(frame.local(mesh.vertices)), device.put(mesh.faces)
     found = device.zeros(CROSSED * tree.count, np.int32)
     with device.stage("crossing parts"):
         device.kernel(SOURCE, "list_crossing_shells")(
-            tree.count, tree.names, vertices, faces, device.put(of.astype(np.int32)), tree.nodes,
+            tree.count, names, vertices, faces, device.put(of.astype(np.int32)), tree.nodes,
             tree.first_leaf, found,
         )  # fmt: skip
-    own = of[tree.names.get()[: tree.count] // 3]
+    own = of[names.get()[: tree.count] // 3]
     other = found.take().reshape(-1, CROSSED) - 1
     face, slot = np.nonzero(other >= 0)
     pairs = np.sort(np.stack([own[face], other[face, slot]], axis=1), axis=1)

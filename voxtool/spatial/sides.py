@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import components, edges_of, shells_of
+from voxtool.mesh.topology import components, edges_of
 from voxtool.spatial.boundary import along_curve, boundary_spheres
 from voxtool.spatial.distance import others_within
 from voxtool.spatial.winding_number import WindingNumber
@@ -21,7 +21,6 @@ from voxtool.vector import cross, length
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Device
     from voxtool.spatial.bvh import Frame, TriangleTree
     from voxtool.spatial.pseudonormals import Pseudonormals
 
@@ -90,20 +89,6 @@ def _shells(edges: np.ndarray, known: np.ndarray, single: np.ndarray) -> np.ndar
     one, other = (np.zeros(edges.max(initial=-1) + 1, np.int64) for _ in range(2))
     one[sides], other[sides[::-1]] = number, number[::-1]
     return components(one[sides], other[sides], len(known))
-
-
-def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: TriangleTree) -> bool:
-    """Return whether the winding number in front of every shell is 0; or -1, if the mesh is inside
-    out. The mesh is closed and has no self-intersections; nested shells wound alike differ."""
-    shells = shells_of(mesh)
-    faces = np.unique(shells, return_index=True)[1]
-    if len(faces) == 1:
-        return True
-    middle, rise = _centroids(mesh, faces, normals, tree.frame)
-    front = _numbers(WindingNumber(mesh, device, tree=tree), middle + rise)
-    front[(rise == 0).all(axis=1)] = np.nan
-    outside = 0.0 if front[0] > -0.5 else -1.0
-    return bool((np.abs(front - outside) < 0.25).all())
 
 
 def _centroids(

@@ -1,9 +1,10 @@
 """The signed distance from points to a triangle mesh: negative inside.
 
-The sign comes from angle-weighted pseudo-normals (pseudonormals.py), which are right for every mesh
-that is closed and consistently wound, or from the generalized winding number (winding_number.py),
-which also works where a mesh is open, has self-intersections or is wound inconsistently in places.
-The sign changes no magnitude. On the surface the distance is 0.
+The sign comes from angle-weighted pseudo-normals (pseudonormals.py), which are right where winding
+numbers are 0 and 1 (fill_rule.py); from the generalized winding number (winding_number.py), which
+also works where a mesh is open, its parts overlap or it is wound inconsistently in places; or from
+the faces that the row along x crosses before a point (crossings.py), as of voxels that parity or
+nonzero fill. The sign changes no magnitude. On the surface the distance is 0.
 """
 
 from __future__ import annotations
@@ -14,14 +15,12 @@ import numpy as np
 
 from voxtool.choices import SIGNS
 from voxtool.errors import VoxtoolError
-from voxtool.mesh.collinear import collinear
-from voxtool.mesh.once import once
-from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import COMPACTION
 from voxtool.spatial.boundary import boundary_spheres
-from voxtool.spatial.bvh import tree_bytes
+from voxtool.spatial.bvh import build_tree, tree_bytes
+from voxtool.spatial.crossings import row_crossings
 from voxtool.spatial.distance import (
     PACKETS,
     POINTS,
@@ -37,6 +36,7 @@ from voxtool.spatial.winding_number import WindingNumber, moment_bytes
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
+    from voxtool.spatial.bvh import TriangleTree
     from voxtool.spatial.distance import PointBlock
 
 NUMBERED = 1 << 12  # points: of fewer, each has a winding number of its own
@@ -68,15 +68,6 @@ class DistanceResult(NamedTuple):
     face: Any = None
 
 
-@once
-def default_sign(mesh: Mesh, device: Device | None = None) -> str:
-    """Return the sign that suits a mesh: "pseudonormal" if it is watertight and every face has an
-    area, otherwise "winding"."""
-    closed = once(watertight)(mesh, device or default_device())
-    smooth = closed and not collinear(mesh.vertices[mesh.faces]).any()
-    return "pseudonormal" if smooth else "winding"
-
-
 def programs(device: Device, sign: str) -> list[Request]:
     """Return the programs that distances of many points near a mesh use, beyond those of its tree
     and its winding number, in order."""
@@ -90,28 +81,31 @@ def programs(device: Device, sign: str) -> list[Request]:
 
 def distance_bytes(faces: int, sign: str) -> int:
     """Return the bytes on the device for the distance to a mesh, without points."""
-    more = {"pseudonormal": normal_bytes, "winding": moment_bytes}.get(sign)
+    more = {
+        "pseudonormal": normal_bytes, "winding": moment_bytes,
+        "parity": tree_bytes, "nonzero": tree_bytes,
+    }.get(sign)  # fmt: skip
     return tree_bytes(faces) + rounded_bytes(faces) + (more(faces) if more else 0)
 
 
 class SignedDistance:
-    """The signed distance to a mesh, for many calls; see voxtool.SignedDistance. `normals` are its
-    pseudo-normals, if they are known."""
+    """The signed distance to a mesh, for many calls. `sign` is one of voxtool.choices.SIGNS;
+    `normals` are the mesh's pseudo-normals, if they are known."""
 
     def __init__(
         self,
         mesh: Mesh,
-        sign: str | None = None,
+        sign: str,
         device: Device | None = None,
         normals: Pseudonormals | None = None,
     ) -> None:
-        if sign is not None and sign not in SIGNS:
+        if sign not in SIGNS:
             raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
         self.device = device or default_device()
         self.mesh = mesh
-        self.sign = sign or default_sign(mesh, self.device)
+        self.sign = sign
         name, size = f"distance, sign {self.sign}", distance_bytes(len(mesh.faces), self.sign)
-        self._distance, self._winding = self.device.keep(
+        self._distance, self._winding, self._rows = self.device.keep(
             mesh, name, size, lambda: _measures(mesh, self.sign, self.device, normals)
         )
 
@@ -169,6 +163,10 @@ class SignedDistance:
         if self._winding is not None:
             inside = self._inside(self._winding, block, distances) & (distances > 0)
             distances = np.where(inside, -distances, distances)
+        elif self._rows is not None:
+            counts, numbers = row_crossings(self.device, self.mesh, self._rows, block)
+            inside = counts % 2 == 1 if self.sign == "parity" else numbers != 0
+            distances = np.where(inside & (distances > 0), -distances, distances)
         if directions is not None:
             directions = np.where(distances[:, None] < 0, -directions, directions)
         return distances, directions, nearest, faces
@@ -196,12 +194,14 @@ class SignedDistance:
 
 def _measures(
     mesh: Mesh, sign: str, device: Device, normals: Pseudonormals | None
-) -> tuple[TriangleDistance, WindingNumber | None]:
-    """Return the tree and the moments that a sign needs, without a reference to the mesh."""
-    if sign != "pseudonormal":
-        distance = TriangleDistance(mesh, device)
-        moments = WindingNumber(mesh, device, tree=distance.tree) if sign == "winding" else None
-        return distance, moments
-    with device.stage("pseudo-normals"):
-        normals = normals or pseudonormals(mesh)
-    return TriangleDistance(mesh, device, normals=normals), None
+) -> tuple[TriangleDistance, WindingNumber | None, TriangleTree | None]:
+    """Return the tree and what else a sign needs: moments, or the tree of all faces that rows
+    cross; without a reference to the mesh."""
+    if sign == "pseudonormal":
+        with device.stage("pseudo-normals"):
+            normals = normals or pseudonormals(mesh)
+        return TriangleDistance(mesh, device, normals=normals), None, None
+    distance = TriangleDistance(mesh, device)
+    moments = WindingNumber(mesh, device, tree=distance.tree) if sign == "winding" else None
+    rows = build_tree(device, mesh) if sign in ("parity", "nonzero") else None
+    return distance, moments, rows

@@ -61,7 +61,7 @@ def choose(
         if share.enough or held or (fill, gap) == LAST:
             why = _reason(fill, gap, turned, share, lost) + HELD * held
             return Inside(
-                oriented or mesh, fill, why=why, compared=True, gap=gap, pitch=grid.pitch[0],
+                oriented, fill, why=why, compared=True, gap=gap, pitch=grid.pitch[0],
                 turned=turned,
             )  # fmt: skip
         lost = lost or share

@@ -27,7 +27,7 @@ def net_boundary(mesh: Mesh) -> Boundary:
 def inside_of(mesh: Mesh, device: Device) -> Inside:
     """Return what is inside of a mesh."""
     if not once(watertight)(mesh, device) and consistent(mesh, net_boundary(mesh), device):
-        return Inside(mesh, "winding")
+        return Inside(None, "winding")
     return inside_of_closed(mesh, device) or _compared(mesh, device)
 
 

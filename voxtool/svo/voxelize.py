@@ -163,7 +163,7 @@ class VoxelizeJob(Job[Octree]):
         if self.watertight:
             return "parity", 0
         self.inside = inside_of(self.mesh, self.device)
-        self.mesh = self.inside.mesh
+        self.mesh = self.inside.mesh_of(self.mesh)
         return self.inside.fill, self.inside.gap_in(self._whole)
 
     def settle(self) -> None:
@@ -181,9 +181,9 @@ class VoxelizeJob(Job[Octree]):
         low, shape = self._window or ((0, 0, 0), self._whole.shape)
         crossings, limit = self.plan.survey.areas[0], self.limit
         place = self._whole, tuple(low), tuple(shape), crossings, self.device, limit
-        self.differing = count_differing(inside.mesh, *place)
+        self.differing = count_differing(inside.mesh_of(self._given), *place)
         if self.differing:
-            self.mesh = inside.mesh
+            self.mesh = inside.mesh_of(self._given)
             self.place(self.plan.mode, UNION, 0)
 
     def place(self, mode: str, fill: str, gap: int) -> None:

@@ -202,7 +202,7 @@ class SpreadJob(WindowsJob):
     def _sender(self) -> Callable[[np.ndarray], Any]:
         """Return a function that returns the mesh of some faces, or what stands for it in a
         call."""
-        return mesh_sender(self.client, self.mesh, whole=self._wound)
+        return mesh_sender(self.client, self.mesh, whole=self._is_wound)
 
     def _describer(self) -> Callable[[Key, np.ndarray], Described | None]:
         """Return a function that returns what a worker needs for the attributes of a window."""

@@ -184,8 +184,9 @@ class WindowsJob(Job[BlockOctree]):
 
     def _faces_of(self, key: Key, faces: np.ndarray) -> np.ndarray:
         """Return those of some faces that can change a window: for a solid also those before it
-        along x, as their crossings decide where its rows begin, and of an open mesh's winding number all."""
-        if self._wound:
+        along x, as their crossings decide where its rows begin, and for an open mesh's winding
+        numbers all."""
+        if self._is_wound:
             return faces
         return self._faces_near(key, faces, MARGIN, rows=self.whole.plan.solid)
 
@@ -200,7 +201,7 @@ class WindowsJob(Job[BlockOctree]):
         return faces[(reached & (low <= corner + side + margin)).all(axis=1)]
 
     @property
-    def _wound(self) -> bool:
+    def _is_wound(self) -> bool:
         """True if far faces change a window: the mesh is filled by winding numbers, and is open."""
         return self.whole.plan.fill == "winding" and not self.whole.watertight
 
@@ -214,7 +215,7 @@ class WindowsJob(Job[BlockOctree]):
         plan = self.whole.plan
         mode, _, added = plan.mode.partition("+")
         fill = plan.fill if plan.solid else "auto"
-        more = {"max_memory": self.max_memory, "closed": not self._wound}
+        more = {"max_memory": self.max_memory, "closed": not self._is_wound}
         return {"mode": mode, "fill": fill, "with_surface": bool(added), **more}
 
     def _job(self, key: Key, faces: np.ndarray) -> VoxelizeJob:
