@@ -18,7 +18,8 @@ import numpy as np
 from golden_adf import NUMBERS, OWN
 
 import voxtool
-from voxtool.choices import SIGNS
+from voxtool.choices import FIELD_SIGNS
+from voxtool.spatial.signed_distance import SignedDistance
 
 GOLDEN = Path(__file__).parent / "golden" / "distance.json"
 DIM = 20
@@ -41,9 +42,10 @@ def digest(*arrays: np.ndarray) -> str:
 def digests(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
     """Yield the digests of the distances at points with every sign, on a grid, and to another
     mesh."""
-    options = {"gradient": True, "nearest": True, "face": True, "device": device}
-    for sign in SIGNS:
-        yield sign, digest(*voxtool.distance(mesh, points_of(mesh), sign=sign, **options))
+    options = {"gradient": True, "nearest": True, "face": True}
+    for sign in FIELD_SIGNS:
+        measure = SignedDistance(mesh, sign, device)
+        yield sign, digest(*measure(points_of(mesh), **options))
     grid = voxtool.Grid.fit(mesh, DIM)
     yield "grid", digest(voxtool.distance_grid(mesh, grid, device=device))
     other = replace(mesh, vertices=1.125 * mesh.vertices[:, [1, 2, 0]])

@@ -37,7 +37,7 @@ def octrees(device: voxtool.Device) -> voxtool.Octree:
 
 def distances() -> float:
     field: voxtool.DistanceField = voxtool.build_adf("bunny.obj", tolerance=1e-2)
-    field = voxtool.plan_adf("bunny.obj", sign="winding").run()
+    field = voxtool.plan_adf("bunny.obj", fill="winding").run()
     voxtool.write_adf(field, "bunny.adf.h5")
     answer: voxtool.QueryResult = voxtool.query_adf(field, [0, 0, 0], gradient=True)
     answer = voxtool.FieldQuery(voxtool.read_adf("bunny.adf.h5"))([[0, 0, 0]])

@@ -107,11 +107,10 @@ def nested_balls() -> Mesh:
     ("mesh", "forced", "message"),
     [
         (box_without_lid, {}, "mesh is not closed: .*; inside is where its winding number"),
-        (nested_balls, {}, "mesh has nested shells with the same winding; inside is where"),
         (
             ball,
             {"closed": False},
-            "mesh is treated as open; signs by pseudo-normals may be wrong: choose --sign winding",
+            "mesh is treated as open; signs by pseudo-normals may be wrong: choose fill winding",
         ),
         (lambda: mesh_from_arrays(np.eye(3), [(0, 1, 2)]), {}, "the field has no inside"),
     ],
@@ -119,6 +118,14 @@ def nested_balls() -> Mesh:
 def test_warnings(device: Device, mesh, forced: dict, message: str) -> None:
     with pytest.warns(MeshWarning, match=message):
         plan(mesh(), max_level=3, device=device).with_(**forced).run()
+
+
+def test_parts_are_united(device: Device) -> None:
+    job = plan(nested_balls(), max_level=3, device=device)
+    field = job.run()
+    assert field.sign == "winding"
+    assert field.query([[0.0, 0.0, 0.0]]).distance[0] < 0
+    assert list(job.notes(field)) == ["mesh: 2 parts overlap: their union is inside"]
 
 
 def test_a_field_that_fits_no_texture_is_refused() -> None:

@@ -18,10 +18,10 @@ from voxtool.bench.references import distances_compared
 from voxtool.bench.request import KINDS, Request
 from voxtool.bench.timing import Bench
 from voxtool.choices import SEARCHES
+from voxtool.distances import plan_distance
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.opencl import open_device
 from voxtool.spatial.sampling import sample_cube
-from voxtool.spatial.signed_distance import SignedDistance
 
 REQUEST = Request(tolerances=(1e-1, 1e-2), levels=(4,), points=2000, sphere_level=3, repeat=1,
                   seconds=0, peers=True, ablations=False)  # fmt: skip
@@ -29,7 +29,7 @@ REQUEST = Request(tolerances=(1e-1, 1e-2), levels=(4,), points=2000, sphere_leve
 
 def wrong_tools(mesh) -> dict:
     """A tool that is wrong by half a side of the cube everywhere, and one that has no inside."""
-    exact, side = SignedDistance(mesh), cube_of(mesh)[1]
+    exact, side = plan_distance(mesh).run(), cube_of(mesh)[1]
     return {
         "Off 1.0": lambda: lambda points: exact(points) + side / 2,
         "Unsigned 2.0": lambda: lambda points: abs(exact(points)),
@@ -99,7 +99,7 @@ def test_other_tools_are_compared_with_exact_distances(points: list[Point]) -> N
     assert exact.absent["rms"] == "errors are measured against it"
     mesh = mesh_from_arrays(*meshes.icosphere(1))
     origin, side = cube_of(mesh)
-    distances = SignedDistance(mesh)(origin + side * sample_cube(2000))
+    distances = plan_distance(mesh).run()(origin + side * sample_cube(2000))
     inside = int(np.count_nonzero(distances < 0))
     for tool in (off, unsigned):
         assert tool.peer

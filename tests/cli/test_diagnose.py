@@ -72,14 +72,14 @@ def faults(found: dict[str, Any]) -> list[str]:
     return [fault["what"] for fault in found["faults"]]
 
 
-def recommended(found: dict[str, Any]) -> tuple[str, str]:
-    return found["recommended"]["fill"], found["recommended"]["sign"]
+def recommended(found: dict[str, Any]) -> str:
+    return found["recommended"]["fill"]
 
 
 def test_a_good_mesh(here: Path) -> None:
     found = report(meshes.icosphere(2, 0, 10.0))
     assert faults(found) == []
-    assert recommended(found) == ("parity", "pseudonormal")
+    assert recommended(found) == "parity"
     assert found["auto"] == "parity"
     assert found["diagnosis"]["watertight"]
     assert [shell["is"] for shell in found["shells"]] == ["solid"]
@@ -92,7 +92,7 @@ def test_a_good_mesh(here: Path) -> None:
 def test_an_open_box(here: Path) -> None:
     found = report(meshes.open_box(0, (4, 3, 2)))
     assert faults(found) == ["1 boundary loop"]
-    assert recommended(found) == ("winding", "winding")
+    assert recommended(found) == "winding"
     (loop,) = found["loops"]
     assert loop == {
         "edges": 4, "length": 14.0, "centre": [2.0, 1.5, 2.0], "size": [4.0, 3.0, 0.0],
@@ -135,12 +135,12 @@ def test_shells_in_shells(here: Path) -> None:
     assert [shell["is"] for shell in found["shells"]] == ["solid", "cavity", "solid"]
     assert [shell["parent"] for shell in found["shells"]] == [None, 0, 1]
     assert faults(found) == []
-    assert recommended(found) == ("parity", "pseudonormal")
+    assert recommended(found) == "parity"
 
     alike = report(meshes.join(meshes.box(0, 9), meshes.box(1, 8)))
     assert [shell["is"] for shell in alike["shells"]] == ["solid", "nested alike"]
     assert faults(alike) == ["1 shell wound like the one around it"]
-    assert recommended(alike) == ("nonzero", "winding")
+    assert recommended(alike) == "auto"
     assert alike["fills"]["parity"]["missing"] > 0
 
     inward = report(turned(hollow))
@@ -154,7 +154,7 @@ def test_overlapping_cubes(here: Path) -> None:
     assert found["crossed_faces"]["faces"][0] == 2
     assert found["crossed_faces"]["centre"] == pytest.approx([4, 8 / 3, 4 / 3])
     assert faults(found) == ["12 self-intersecting faces"]
-    assert recommended(found) == ("nonzero", "winding")
+    assert recommended(found) == "auto"
     assert found["fills"]["parity"]["missing"] == 8 * 4**3  # the common cube, of 8 voxels a side
 
 
@@ -302,7 +302,7 @@ def test_the_bunny(device_index: int) -> None:
     found = json.loads(run(f"diagnose {path} --dim 128 --json --device {device_index}").stdout)
     assert faults(found) == ["5 boundary loops"]
     assert [loop["edges"] for loop in found["loops"]] == [80, 42, 40, 39, 22]
-    assert recommended(found) == ("winding", "winding")
+    assert recommended(found) == "winding"
     mesh = load_mesh(path)
     octree = voxelize(mesh, Grid.fit(mesh, 128), fill="winding")
     assert found["fills"]["winding"]["voxels"] == octree.count

@@ -36,7 +36,7 @@ def test_points(here: Path) -> None:
     inside = ((POINTS > 0) & (POINTS < 4)).all(axis=1)
     expected = np.where(inside, -1, 1) * brute(POINTS, vertices[faces])
     assert np.abs(found - expected).max() < 1e-14
-    run("distance open.obj points.csv --sign none -o unsigned.npy")
+    run("distance open.obj points.csv --fill none -o unsigned.npy")
     assert (np.load("unsigned.npy") > 0).all()
 
 
@@ -109,7 +109,7 @@ def test_the_plan(here: Path) -> None:
     ("options", "code", "message"),
     [
         ("box.obj points.csv --dim 32", 2, "give one of them"),
-        ("box.obj --dim 32 --sign winding", 2, "give --fill, not --sign"),
+        ("box.obj points.csv --fill flood", 2, "fill 'flood' fills whole voxels"),
         ("box.obj --dim 32 --face", 2, "go with POINTS"),
         ("box.obj --dim 32 --pitch 1", 2, "both set the voxel size"),
         ("box.obj --dim 32 --like box.svo.h5", 2, "--like sets the grid"),

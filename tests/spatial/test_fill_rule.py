@@ -30,7 +30,7 @@ def boxes(*parts: tuple[float, float, bool]) -> Mesh:
     found = []
     for half, move, inverted in parts:
         vertices, faces = meshes.box(-half, half)
-        found.append((vertices + [move, 0.1 * move, 0.2 * move], faces[:, :: 1 - 2 * inverted]))
+        found.append((vertices + np.multiply(move, (1, 0.1, 0.2)), faces[:, :: 1 - 2 * inverted]))
     return meshes.mesh_of(*meshes.join(*found))
 
 

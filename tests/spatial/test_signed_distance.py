@@ -18,14 +18,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from meshes import mesh_of
 
+import voxtool
 from voxtool import distance
 from voxtool.errors import VoxtoolError
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.spatial import bvh
 from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.fill_rule import inside_as_wound
 from voxtool.spatial.pseudonormals import angle_of, pseudonormals
-from voxtool.spatial.signed_distance import SignedDistance, default_sign
+from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.spatial.winding_number import WindingNumber
 
 if TYPE_CHECKING:
@@ -308,8 +310,8 @@ def test_half_a_sphere(device: Device) -> None:
     slope = np.sqrt(1 + z * z)  # of the cone to the rim: a disc seen from height z
     expected = 0.5 * (1 + z / slope)
     assert np.abs(measure(axis) - expected).max() < 0.05  # the rim is ragged
-    found = SignedDistance(mesh, device=device)
-    assert found.sign == default_sign(mesh) == "winding"
+    assert inside_as_wound(mesh, device).sign == "winding"
+    found = SignedDistance(mesh, "winding", device)
     assert (found([(0, 0, 0.5), (0, 0, 0.9)]) < 0).all()
     assert (found([(0, 0, -0.5), (0, 0, 1.1)]) > 0).all()
 
@@ -331,7 +333,10 @@ def test_equal_distances_to_two_sheets_go_to_the_first_face(device: Device) -> N
         assert found.tolist() == [expected] * 3
 
 
-def test_what_suits_a_mesh() -> None:
+def test_what_suits_a_mesh(device: Device) -> None:
+    def default_sign(mesh: Mesh) -> str:
+        return inside_as_wound(mesh, device).sign
+
     vertices, faces = meshes.box(0, 2)
     turned = faces.copy()
     turned[0] = turned[0][::-1]
@@ -457,7 +462,7 @@ def test_the_armadillo(device: Device) -> None:
     found = [SignedDistance(mesh, sign, device)(points) for sign in SIGNS]
     assert np.array_equal(*found)
     assert 0.2 < (found[0] < 0).mean() < 0.5
-    assert default_sign(mesh) == "pseudonormal"
+    assert inside_as_wound(mesh, device).sign == "pseudonormal"
     some = points[::500]
     expected = winding(some, mesh.vertices[mesh.faces])
     assert np.abs(WindingNumber(mesh, device)(some) - expected).max() < WINDING
@@ -479,18 +484,23 @@ def test_scale_changes_no_bit(device: Device, exponent: int, sign: str) -> None:
 def test_no_sign_and_no_such_sign(device: Device) -> None:
     mesh = mesh_of(*meshes.box(0, 2))
     assert SignedDistance(mesh, "none", device)([(1, 1, 1)]).tolist() == [1]
-    assert SignedDistance(mesh, device=device)([(1, 1, 1)]).tolist() == [-1]
-    with pytest.raises(VoxtoolError, match="choose one of pseudonormal, winding, none"):
-        SignedDistance(mesh, "parity", device)
+    assert voxtool.SignedDistance(mesh, device=device)([(1, 1, 1)]).tolist() == [-1]
+    with pytest.raises(VoxtoolError, match="choose one of pseudonormal, winding, parity"):
+        SignedDistance(mesh, "odd", device)
+    with pytest.raises(VoxtoolError, match="choose one of auto, parity, nonzero"):
+        voxtool.SignedDistance(mesh, "odd", device)
+    with pytest.raises(VoxtoolError, match="fills whole voxels"):
+        voxtool.SignedDistance(mesh, "flood", device)
 
 
 # ---- gradient, nearest point and face
 
 
-def check_located(mesh: Mesh, points: np.ndarray, device: Device, sign: str | None) -> None:
+def check_located(mesh: Mesh, points: np.ndarray, device: Device, sign: str) -> None:
     """That what is found of points holds together, against the distance to every face."""
-    found = distance(mesh, points, sign=sign, gradient=True, nearest=True, face=True, device=device)
-    assert np.array_equal(found.distance, SignedDistance(mesh, sign, device)(points))
+    measure = SignedDistance(mesh, sign, device)
+    found = measure(points, gradient=True, nearest=True, face=True)
+    assert np.array_equal(found.distance, measure(points))
     extent = np.ptp(mesh.bounds, axis=0).max()
     triangles = mesh.vertices[mesh.faces]
     each = np.stack([brute(points, t[None]) for t in triangles], axis=1)
@@ -545,7 +555,7 @@ def test_on_the_surface_the_gradient_is_the_normal(device: Device) -> None:
 
 def test_one_point(device: Device) -> None:
     mesh = mesh_of(*meshes.box(0, 4))
-    measure = SignedDistance(mesh, device=device)
+    measure = SignedDistance(mesh, "pseudonormal", device)
     assert measure([1, 2, 2]) == -1
     found = measure([-1, 2, 2], gradient=True, nearest=True, face=True)
     assert (found.distance, found.gradient.tolist(), found.nearest.tolist()) == (
@@ -563,4 +573,7 @@ def test_the_tree_is_built_once(device: Device) -> None:
     with device.reporting(stages.append):
         for _ in range(3):
             distance(mesh, [(0, 0, 0)], device=device)
-    assert stages == ["pseudo-normals", "tree", *["distance"] * 3]
+    decided = ["self-intersections"]
+    assert [stage for stage in stages if stage != "tree"] == [
+        *decided, "pseudo-normals", *["distance"] * 3,
+    ]  # fmt: skip

@@ -76,7 +76,7 @@ def test_consistent_meshes_pay_nothing(device: Device) -> None:
         (meshes.mesh_of(vertices, np.concatenate([faces, faces])), "winding"),
     ):
         job = plan_voxelize(found, Grid.fit(found, 32), device=device)
-        assert (job.plan.fill, job.choice, job.mesh) == (fill, None, found)
+        assert (job.plan.fill, job.plan.choice, job.mesh) == (fill, "", found)
         assert COMPARISON not in job.plan.stages
         assert "choice" not in job.plan.scene()
 
@@ -123,7 +123,7 @@ def test_the_choice_does_not_depend_on_the_grid(device: Device) -> None:
     }  # fmt: skip
     window = (0, 0, 0), (16, 16, 16)
     part = plan_voxelize(mesh, Grid.fit(mesh, 128), window=window, device=device)
-    assert (part.plan.rule, part.choice) == ("flood+gap3", jobs[128].choice)
+    assert (part.plan.rule, part.inside) == ("flood+gap3", jobs[128].inside)
 
 
 def test_an_empty_result_names_a_rule(device: Device) -> None:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from voxtool.adf.host_query import POINT_BITS
+from voxtool.mesh.counts import PROGRAMS as COUNTING
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import twins_of
-from voxtool.mesh.watertight import SOURCE as WATERTIGHT
 from voxtool.opencl import Device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT, SCAN
@@ -53,7 +53,7 @@ class Survey:
         self.flat, self.undecided, self.closed = 0, 0, False
         self.normals: Pseudonormals | None = None
         programs: list[Request] = [(TREE, {}), (RADIX_SORT, {"KEY": "ulong"}), (SCAN, {})]
-        device.prepare(*programs, *[(SELF_INTERSECTIONS, {}), (WATERTIGHT, {})] * signed)
+        device.prepare(*programs, *[(SELF_INTERSECTIONS, {}), *COUNTING] * signed)
         if signed:
             with ThreadPoolExecutor(1) as beside:  # numpy works beside this thread and the device
                 distinct = beside.submit(distinct_faces, mesh)

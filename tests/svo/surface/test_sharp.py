@@ -65,7 +65,7 @@ def along(ends: np.ndarray, n: int) -> np.ndarray:
 
 
 def distances(device: Device, mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    return np.abs(voxtool.distance(mesh, points, sign="none", device=device))
+    return np.abs(voxtool.distance(mesh, points, fill="none", device=device))
 
 
 def plate(holes: int = 32) -> Mesh:
