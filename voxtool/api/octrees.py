@@ -106,8 +106,8 @@ def plan_voxelize(
         what is inside, for "solid" and "fraction": "parity" (an odd number of crossings along x),
         "nonzero" (crossings that enter and leave do not cancel), "winding" (a winding number of
         1/2 or more), "flood" (everything that the outside cannot reach), or "auto": parity if the
-        mesh is closed and consistently wound, winding if it is consistent but open, otherwise what
-        keeps its outer surface.
+        mesh is closed, the union of its parts if they overlap, winding if it is consistent but
+        open, otherwise what keeps its outer surface.
     gap
         for "flood", openings of up to this many voxels are closed first.
     with_surface

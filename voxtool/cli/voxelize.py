@@ -54,8 +54,8 @@ if TYPE_CHECKING:
         "What is inside, for solid and fraction. parity: an odd number of crossings along x; "
         "nonzero: crossings that enter and leave do not cancel; winding: a winding number of 1/2 "
         "or more; flood: everything that the outside cannot reach; auto: parity if the mesh is "
-        "closed and consistently wound, winding if it is consistent but open, otherwise the rule "
-        "that keeps its outer surface.", FILLS[0]),
+        "closed, the union of its parts if they overlap, winding if it is consistent but open, "
+        "otherwise the rule that keeps its outer surface.", FILLS[0]),
     option("--gap", click.IntRange(0),
         "With --fill flood: close openings of up to this many voxels first.", 0, metavar="VOXELS",
         show_default=False),
