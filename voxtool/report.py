@@ -48,7 +48,7 @@ STAGES = ("topology", "self-intersections", "nesting", *RULES, "auto", "outer su
 MAX_EXPONENT = 250  # of an extent: squares of areas, and cubes of lengths, are in float64
 LISTED = 1000  # faces, edges or rows in a list
 REMOVE_INSIDE = "remove the faces inside, or fill by winding"
-UNITE = "none needed if parts overlap: fill auto unites them; repair leaves out what is inside"
+UNITE = "fill auto unites parts that overlap; voxtool repair leaves out the faces inside"
 REVERSE_CAVITIES = "reverse the faces of cavities; fill auto unites shells that are wound alike"
 JSON_NAMES = {"self_intersecting_faces": "crossed_faces", "hint": "mend"}  # since version 0.1
 
