@@ -23,6 +23,7 @@ from voxtool.selftest import (
     parts,
     points,
     repairs,
+    unions,
     volumes,
     voxels,
 )
@@ -39,6 +40,7 @@ CASES: tuple[Case, ...] = (
     *fractions.CASES,
     *areas.CASES,
     *parts.CASES,
+    unions.unions,
     booleans.operations,
     merging.subtrees,
     points.points,
