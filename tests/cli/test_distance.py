@@ -109,11 +109,11 @@ def test_the_plan(here: Path) -> None:
     ("options", "code", "message"),
     [
         ("box.obj points.csv --dim 32", 2, "give one of them"),
-        ("box.obj points.csv --fill flood", 2, "fill 'flood' fills whole voxels"),
+        ("box.obj points.csv --fill flood", 2, "--fill flood fills whole voxels"),
         ("box.obj --dim 32 --face", 2, "go with POINTS"),
         ("box.obj --dim 32 --pitch 1", 2, "both set the voxel size"),
         ("box.obj --dim 32 --like box.svo.h5", 2, "--like sets the grid"),
-        ("box.obj points.csv --fill flood", 2, "go with a grid"),
+        ("box.obj points.csv --float32", 2, "goes with a grid"),
         ("- -", 2, "cannot both be stdin"),
         ("box.obj points.csv -o points.csv", 2, "is POINTS itself"),
         (

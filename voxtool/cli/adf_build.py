@@ -45,8 +45,9 @@ if TYPE_CHECKING:
     option("--max-texture", click.IntRange(MIN_TEXTURE_3D, MAX_TEXTURE_3D),
         "Texels along an axis of a 3-D texture on the device that shall take the field.  A field "
         "that does not fit is refused.", DEFAULT_TEXTURE_3D, metavar="TEXELS"),
-    option("--fill", POINT_FILLS,
-        "What is inside, as for voxelize; none: no distance is negative.", POINT_FILLS[0]),
+    option("--fill", tuple(fill for fill in POINT_FILLS if fill != "flood"),
+        "What is inside, as for voxelize; none: no distance is negative.  parity and nonzero go "
+        "with closed meshes whose parts do not overlap.", POINT_FILLS[0]),
     option("--continuous/--cracks", bool,
         "Leaves of different levels agree on their common faces, or are exact at all corners.",
         True),

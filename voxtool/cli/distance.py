@@ -90,6 +90,11 @@ def command(
             raise click.UsageError("--gradient, --nearest and --face go with POINTS")
     elif float32:
         raise click.UsageError("--float32 goes with a grid: give --dim")
+    elif fill == "flood":
+        raise click.UsageError(
+            "--fill flood fills whole voxels, and a point is in none: choose auto or winding, or "
+            "measure a grid (--dim)"
+        )
     else:
         if run.item:
             raise click.UsageError("--workers and --shard go with a grid: give --dim")
