@@ -203,6 +203,10 @@ class Job(ABC, Generic[Result]):
         """Remarks on a result that are no warnings, one line each."""
         return ()
 
+    def details(self, result: Result) -> Iterable[str]:
+        """Remarks that only `-v` prints, one line each: on how the result was made."""
+        return ()
+
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Name the stage to which the work in this block belongs."""

@@ -61,8 +61,7 @@ def test_the_file_holds_what_was_said(style: str, level, here: Path) -> None:
     result = run(f"extract bunny.svo.h5 --style {style} {asked} -o a.obj")
     assert result.stdout == ""
     line = said(result.stderr.splitlines(keepends=True)[-1 if level == 2 else 0])
-    default = "0" if style == "marching-cubes" else "voxel"
-    shown = default if level is None else str(level)
+    shown = "voxel" if level is None else str(level)
     assert line.groups()[:5] == ("bunny.svo.h5", "a.obj", style, shown, "0.5")
     surface = extract(read_svo("bunny.svo.h5"), style=style, level=level)
     mesh = load_mesh("a.obj")

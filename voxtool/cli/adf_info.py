@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli.info import describe, info_options, normalized, on_disk, place, section, table
+from voxtool.cli.info import describe, info_options, normalized, place, section, sizes, table
+from voxtool.errors import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,10 +32,10 @@ def command(file: str, **asked: bool) -> None:
     describe(file, read_adf(file), text_of, **asked)
 
 
-def text_of(info: dict[str, Any]) -> Iterator[str]:
-    """The lines of a summary."""
+def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
+    """The lines of a summary, if verbose with how it is stored."""
     unit = f" {info['units']}" if info["units"] else ""
-    side, saved, hashed = info["side"], info["saved"], info["hash"]
+    side = info["side"]
 
     def length(sides: float | None) -> str:
         return "everywhere" if sides is None else f"{sides:.6g} sides, {sides * side:.6g}{unit}"
@@ -47,13 +48,44 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
         ("tolerance", length(info["tolerance"])),
         ("band", length(info["band"])),
         ("levels", f"to {info['depth']}, at most {info['max_level']} asked for"),
+        ("leaves", f"{info['leaves']:,}"),
         ("faces", "neighbours agree" if info["continuous"] else "neighbours of other level may "
          "disagree"),
+        *([] if info["jumps"] == 0 else [("jumps", jumps(info))]),
+        *errors_of(info["reached"]),
+        *sizes(info, verbose, f", {info['bytes_a_leaf']:.3g} a leaf"),
+    ))  # fmt: skip
+    if verbose:
+        yield from stored(info)
+
+
+def jumps(info: dict[str, Any]) -> str:
+    """Return in how many leaves the sign jumps."""
+    if info["jumps"] is None:
+        return "unknown: without bounds"
+    return f"in {info['jumps']:,} of {info['leaves']:,} leaves, as across a hole"
+
+
+def errors_of(reached: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the lines of the errors that the build reached, and of the leaves that it missed."""
+    for where, found in reached.get("errors", {}).items():
+        if found["points"]:
+            yield (
+                "error",
+                (
+                    f"{where}: 99 % within {found['p99']:.3g}, rms {found['rms']:.3g}, max "
+                    f"{found['max']:.3g} sides"
+                ),
+            )
+    if missed := reached.get("missed"):
+        yield "missed", f"{count_of(missed, 'leaf')} over the tolerance"
+
+
+def stored(info: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of how a field is stored."""
+    saved, hashed = info["saved"], info["hash"]
+    yield from table((
         ("steepest", f"{info['lipschitz']:.6g}"),
-        ("jumps", "unknown: without bounds" if info["jumps"] is None else
-         f"in {info['jumps']:,} of {info['leaves']:,} leaves"),
-        ("bytes", f"{info['bytes']:,} on the device, {info['bytes_a_leaf']:.3g} a leaf"
-         f"{on_disk(info)}"),
         ("hash", f"m {hashed['m']}, r {hashed['r']}, {'with' if hashed['w'] else 'without'} w; "
          f"load {percent(hashed['load'])}, {hashed['bits_a_key']:.3g} bits a key; identifiers of "
          f"{hashed['identifier_bits']} bits"),

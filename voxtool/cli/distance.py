@@ -110,7 +110,9 @@ def command(
             facts = measure_points(run, loaded, points or "-", sign, asked)
     count, facts["units"] = facts["points"], loaded.units
     facts["transform"] = list(loaded.transform)
-    run.report(f"{count_of(count, 'distance')}, {facts['negative']:,} negative", lambda: facts)
+    run.report(
+        f"{count_of(count, 'distance')}, {facts['negative']:,} negative, {run.size}", lambda: facts
+    )
 
 
 def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dict[str, Any]:

@@ -80,7 +80,8 @@ def command(
             f"{count_of(outside, 'point')} {'is' if outside == 1 else 'are'} outside the grid"
         )
     run.report(
-        f"{count_of(facts['points'], 'point')}, {facts['contained']:,} in set voxels", lambda: facts
+        f"{count_of(facts['points'], 'point')}, {facts['contained']:,} in set voxels, {run.size}",
+        lambda: facts,
     )
 
 
