@@ -137,8 +137,10 @@ def facts_of(field: DistanceField) -> dict[str, Any]:
 
 def error_near(field: DistanceField) -> str:
     """Return the error near the surface, if it was measured."""
-    errors = field.reached["errors"]["near the surface"]
-    return f"; error near the surface rms {errors['rms']:.2g} sides" if errors["points"] else ""
+    errors = field.reached["errors"].get("near the surface")
+    if not errors or not errors["points"]:
+        return ""
+    return f"; error near the surface rms {errors['rms']:.2g} sides"
 
 
 def missed(field: DistanceField, limited: bool) -> str:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli.info import describe, info_options, normalized, place, section, sizes, table
-from voxtool.errors import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+SHOWN = ("missed", "errors")  # of what the build reached
 
 
 @click.command("adf-info")
@@ -52,11 +53,13 @@ def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
         ("faces", "neighbours agree" if info["continuous"] else "neighbours of other level may "
          "disagree"),
         *([] if info["jumps"] == 0 else [("jumps", jumps(info))]),
-        *errors_of(info["reached"]),
         *sizes(info, verbose, f", {info['bytes_a_leaf']:.3g} a leaf"),
     ))  # fmt: skip
     if verbose:
         yield from stored(info)
+    reached = info["reached"]
+    shown = reached if verbose else {name: reached[name] for name in SHOWN if name in reached}
+    yield from section("reached", shown)
 
 
 def jumps(info: dict[str, Any]) -> str:
@@ -64,21 +67,6 @@ def jumps(info: dict[str, Any]) -> str:
     if info["jumps"] is None:
         return "unknown: without bounds"
     return f"in {info['jumps']:,} of {info['leaves']:,} leaves, as across a hole"
-
-
-def errors_of(reached: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the lines of the errors that the build reached, and of the leaves that it missed."""
-    for where, found in reached.get("errors", {}).items():
-        if found["points"]:
-            yield (
-                "error",
-                (
-                    f"{where}: 99 % within {found['p99']:.3g}, rms {found['rms']:.3g}, max "
-                    f"{found['max']:.3g} sides"
-                ),
-            )
-    if missed := reached.get("missed"):
-        yield "missed", f"{count_of(missed, 'leaf')} over the tolerance"
 
 
 def stored(info: dict[str, Any]) -> Iterator[str]:
@@ -102,7 +90,6 @@ def stored(info: dict[str, Any]) -> Iterator[str]:
     yield "\nlevel        cells       leaves"
     for row in info["levels"]:
         yield f"{row['level']:>5} {row['cells']:>12,} {row['leaves']:>12,}"
-    yield from section("reached", info["reached"])
 
 
 def percent(part: float) -> str:

@@ -153,7 +153,7 @@ def measure_points(
     run.enter("distance")
     with run.table(columns) as answers:
         for block in read_points(points):
-            after = f", after {answers.count} points" if answers.count else ""
+            after = f", after {answers.count:,} points" if answers.count else ""
             with run.naming(f"{options.shown(points)}{after}"):
                 found: Any = measure(block, **asked)
             parts = found if any(asked.values()) else [found]

@@ -100,7 +100,7 @@ def with_voxels(labels: list[dict[str, Any]], octree: AttributedContent) -> dict
 def _most_off(labels: list[dict[str, Any]]) -> str:
     """Return the label whose volume differs most from that of its voxels, if there are several."""
     most = max(labels, key=lambda one: abs(one["volume_ratio"] - 1))
-    return f"; {printable(most['name'])} {percent_off(most)}" if len(labels) > 1 else ""
+    return f", at worst {printable(most['name'])} {percent_off(most)}" if len(labels) > 1 else ""
 
 
 def _details(labels: list[dict[str, Any]], units: str) -> list[str]:

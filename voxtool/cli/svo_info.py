@@ -59,7 +59,11 @@ def merged(info: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the line of a merged octree's subtrees, if it is one."""
     if "subtrees" in info:
         times = info["memory_bytes"] / info["merged_bytes"]
-        yield "merged", f"{info['subtrees']:,} distinct subtrees, {times:.1f} times smaller"
+        yield (
+            "merged",
+            f"{info['subtrees']:,} distinct subtrees in place of {info['nodes']:,} nodes, in "
+            f"{times:.1f} times less memory",
+        )
 
 
 def attributes(info: dict[str, Any], unit: str) -> Iterator[tuple[str, str]]:
@@ -92,7 +96,7 @@ def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
     unit = f" {info['units']}" if info["units"] else ""
     size = " x ".join(map(str, info["shape"]))
     yield from table((
-        ("grid", f"{size} voxels (dim {info['dim']:,}, depth {info['depth']})"),
+        ("grid", f"{size} voxels (dim {info['dim']}, depth {info['depth']})"),
         ("mode", info["mode"] + ("" if info["fill"] == "none" else f", filled by {info['fill']}")),
         ("origin", f"{place(info['origin'])}{unit}"),
         ("pitch", f"{place(info['pitch'])}{unit}"),

@@ -100,7 +100,7 @@ def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
     run.enter("query")
     with run.table(columns) as answers:
         for block in read_points(points):
-            after = f", after {answers.count} points" if answers.count else ""
+            after = f", after {answers.count:,} points" if answers.count else ""
             with run.naming(f"{options.shown(points)}{after}"):
                 found = query(block)
             contained += int(np.count_nonzero(found.contains))

@@ -299,7 +299,7 @@ def report_line(octree: Octree | BlockOctree | MergedOctree, size: str) -> str:
     named = {"volume": "; volume", "mesh_volume": ", of the mesh"}
     volume = "".join(f"{named[name]} {number:.12g}" for name, number in volumes.items())
     return (
-        f"{octree.mode}{filled}, dim {octree.grid.dim:,}, pitch {pitch_of(octree.grid)}; "
+        f"{octree.mode}{filled}, dim {octree.grid.dim}, pitch {pitch_of(octree.grid)}; "
         f"{octree.count:,} voxels in {size}{volume}"
     )
 

@@ -346,6 +346,25 @@ def test_thin_features_are_counted_as_lost(device) -> None:
     assert len(kept.faces) > len(surface.faces)
 
 
+def test_volumes_are_exact(device) -> None:
+    """The sum of the tetrahedra from the origin, in Python's integers, wherever the surface is."""
+    dense = np.random.default_rng(5).random((11, 9, 30)) < 0.6
+    pitch = (0.5, 0.25, 2.0)
+    octree = replace(octree_from_dense(dense), grid=Grid(dense.shape, (1e6, -7, 3), pitch))
+    for request in (
+        {"style": NETS}, {"level": 0}, {"style": CUBES}, {"style": CUBES, "level": 1},
+        {"style": FACES}, {"style": FACES, "merge": True},
+    ):  # fmt: skip
+        surface = extract(octree, device=device, **request)
+        six = 0
+        for (a, b, c), (d, e, f), (g, h, i) in surface.points[surface.faces].tolist():
+            six += a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+        exact = Fraction(six, 6) * Fraction(surface.side, LATTICE) ** 3 / 4
+        assert surface.volume == pytest.approx(float(exact), rel=1e-15)
+        if request["style"] == FACES:
+            assert surface.volume == pytest.approx(octree.volume, rel=1e-12)
+
+
 # ---- what is refused
 
 
