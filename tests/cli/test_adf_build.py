@@ -117,19 +117,24 @@ def test_the_report(here: Path) -> None:
     near = field.reached["errors"]["near the surface"]
     assert f"; error near the surface rms {near['rms']:.2g} sides, " in lines[0]
     worst = field.reached["worst"]
-    assert lines[1].startswith(
-        f"voxtool: {field.reached['missed']:,} leaves near the surface are over the tolerance by "
-        f"up to {worst['error'] - 0.01:.2g} sides, at level {worst['level']} near ("
-    )
-    assert lines[1].endswith("): a higher --max-level helps")
-    assert run(f"adf-build box.obj {COARSE}").stderr.count("\n") == 2
-    for line, where in zip(lines[2:4], ("in the cube", "near the surface"), strict=True):
+    assert (
+        f" sides; {field.reached['missed']:,} leaves over the tolerance by up to "
+        f"{worst['error'] - 0.01:.2g} sides: a higher --max-level helps, "
+    ) in lines[0]
+    assert run(f"adf-build box.obj {COARSE}").stderr.count("\n") == 1
+    assert ": more --max-bytes helps" in run("adf-build box.obj --max-bytes 5k").stderr
+    for line, where in zip(lines[1:3], ("in the cube", "near the surface"), strict=True):
         errors = field.reached["errors"][where]
         assert line == (
             f"voxtool:   error {where}: 99 % within {errors['p99']:.3g}, rms {errors['rms']:.3g}, "
             f"max {errors['max']:.3g} sides; {100 * errors['within']:.2f} % of "
             f"{errors['points']:,} points within the tolerance"
         )
+    place = ", ".join(f"{x:.6g}" for x in worst["where"])
+    assert lines[3] == (
+        f"voxtool:   missed    {field.reached['missed']:,} leaves that could have met the "
+        f"tolerance, the worst at level {worst['level']} near ({place})"
+    )
     words = [line.split()[1] for line in lines[4:]]
     assert [word for word in words[:4] if word != "medial"][:3] == ["cells", "leaves", "textures"]
     assert ("medial" in words) == ("medial" in field.reached)

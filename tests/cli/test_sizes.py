@@ -24,7 +24,7 @@ COMMANDS = {
     "svo-dag bunny.svo.h5": "svo.h5",
     "extract bunny.svo.h5 ": "obj",
     "extract bunny.svo.h5 --style marching-cubes": "ply",
-    "extract bunny.svo.h5 --style marching-cubes --level 0": "stl",
+    "extract bunny.svo.h5 --style voxel-faces": "stl",
     "extract bunny.adf.h5": "glb",
     "repair bunny.obj --dim 32": "stl",
     "hollow bunny.obj --dim 48 --wall 0.2": "obj",
@@ -32,7 +32,7 @@ COMMANDS = {
     "distance bunny.obj --dim 16": "npy",
     "svo-query bunny.svo.h5 points.csv": "csv",
     "adf-query bunny.adf.h5 points.csv": "npy",
-    "adf-build bunny.obj --max-level 4 --tolerance 0.1": "adf.h5",
+    "adf-build bunny.obj --max-level 4": "adf.h5",
     "import mask.npy": "svo.h5",
     "tet-build volume.vtu --scalar density": "tet.h5",
     "render bunny.svo.h5 --size 32": "png",
@@ -52,7 +52,11 @@ def test_bytes_are_those_of_the_file(command: str, here: Path) -> None:
     assert result.stderr.count("\n") == 1, result.stderr
     assert json.loads(run(f"{command} -o {name} --json").stdout)["bytes"] == size
     if "max-memory" not in command:  # windows wait beside a file
-        form = "" if command.startswith(("svo-dag", "view")) else f"--format {COMMANDS[command]}"
+        form = (
+            ""
+            if command.startswith(("svo-dag", "view", "render"))
+            else f"--format {COMMANDS[command]}"
+        )
         piped = run(f"{command} -o - {form} --json")
         assert json.loads(piped.stderr)["bytes"] == len(piped.stdout_bytes) > 0
 

@@ -98,11 +98,9 @@ def command(
         field = run.job(job)
         run.write(write_adf, field)
     reached = field.reached
-    if reached["missed"]:
-        run.notes.append(missed(field, request["max_bytes"] is not None))
     run.report(
         f"tolerance {field.tolerance:.3g}, sign {field.sign}; {reached['leaves']:,} leaves in "
-        f"{run.size}{error_near(field)}",
+        f"{run.size}{error_near(field)}{missed(field, request['max_bytes'] is not None)}",
         lambda: facts_of(field),
         details_of(field),
     )
@@ -144,18 +142,19 @@ def error_near(field: DistanceField) -> str:
 
 
 def missed(field: DistanceField, limited: bool) -> str:
-    """Return how many leaves could have met the tolerance, and what helps; `limited`: the bytes of
-    the field were."""
-    count, worst = field.reached["missed"], field.reached["worst"]
-    place = ", ".join(f"{x:.6g}" for x in worst["where"])
+    """Return how many leaves could have met the tolerance, if any, and what helps; `limited`: the
+    bytes of the field were."""
+    if not field.reached["missed"]:
+        return ""
+    worst = field.reached["worst"]
     helps = "more --max-bytes" if limited else "a higher --max-level"
     if field.continuous and 0.5 ** worst["level"] < 2 * field.tolerance:
-        # at the edge between two planes, leaves so small err by less than that on their own
-        helps = "they agree with coarser ones beside them: --cracks"
+        # at the edge between two planes, leaves so small err by less than that on their own; these
+        # take the values of coarser ones beside them
+        helps = "--cracks"
     return (
-        f"{count_of(count, 'leaf')} near the surface {'is' if count == 1 else 'are'} over the "
-        f"tolerance by up to {worst['error'] - field.tolerance:.2g} sides, at level "
-        f"{worst['level']} near ({place}): {helps} helps"
+        f"; {count_of(field.reached['missed'], 'leaf')} over the tolerance by up to "
+        f"{worst['error'] - field.tolerance:.2g} sides: {helps} helps"
     )
 
 
@@ -169,6 +168,12 @@ def details_of(field: DistanceField) -> Iterator[str]:
                 f"{errors['max']:.3g} sides; {100 * errors['within']:.2f} % of "
                 f"{errors['points']:,} points within the tolerance"
             )
+    if worst := reached.get("worst"):
+        place = ", ".join(f"{x:.6g}" for x in worst["where"])
+        yield (
+            f"missed    {count_of(reached['missed'], 'leaf')} that could have met the tolerance, "
+            f"the worst at level {worst['level']} near ({place})"
+        )
     if medial := reached.get("medial"):
         yield (
             f"medial    {count_of(medial['leaves'], 'leaf')} over the tolerance along the medial "

@@ -317,6 +317,8 @@ def rounded_off(volumes: dict[str, float], surface: Any) -> Iterator[str]:
     """Yield what keeps the volume, if samples or relaxation have changed it much."""
     if abs(volumes["volume_ratio"] - 1) <= MUCH or surface.isovalue != ISOVALUE:
         return
+    if surface.lost.vanished:  # which has a note or a warning of its own
+        return
     if surface.level != VOXEL_LEVEL:
         yield ROUNDED.format(f"--level {VOXEL_LEVEL}")
     elif surface.style == SURFACE_NETS:

@@ -361,7 +361,7 @@ def test_volumes_are_exact(device) -> None:
             six += a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
         exact = Fraction(six, 6) * Fraction(surface.side, LATTICE) ** 3 / 4
         assert surface.volume == pytest.approx(float(exact), rel=1e-15)
-        if request["style"] == FACES:
+        if surface.style == FACES:
             assert surface.volume == pytest.approx(octree.volume, rel=1e-12)
 
 
