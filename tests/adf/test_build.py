@@ -434,7 +434,8 @@ def check_tree(field: DistanceField, mesh: Mesh, device: Device) -> Tree:
     medial = over & ~tree.refined & ~helped
     found = field.reached.get("medial", {"leaves": 0, "error": 0})
     assert found["leaves"] == np.count_nonzero(medial)
-    assert found["error"] == pytest.approx(errors[medial].max(initial=0), rel=1e-6)
+    rounding = 2.0**-19  # of single precision, for the distance to a corner of a triangle
+    assert found["error"] == pytest.approx(errors[medial].max(initial=0), rel=0, abs=rounding)
     assert field.reached["missed"] == np.count_nonzero(missed)
     assert field.reached["jumps"] == np.count_nonzero(jumps)
     assert field.reached["leaves"] == np.count_nonzero(~tree.refined)

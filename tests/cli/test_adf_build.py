@@ -115,7 +115,7 @@ def test_the_report(here: Path) -> None:
     first = "voxtool: box.obj -> box.adf.h5: tolerance 0.01, sign pseudonormal; "
     assert lines[0].startswith(f"{first}{field.reached['leaves']:,} leaves in ")
     near = field.reached["errors"]["near the surface"]
-    assert f"; error near the surface rms {near['rms']:.2g} sides, " in lines[0]
+    assert f"; error near the surface rms {near['rms']:.2g} sides; " in lines[0]
     worst = field.reached["worst"]
     assert (
         f" sides; {field.reached['missed']:,} leaves over the tolerance by up to "

@@ -415,9 +415,9 @@ def helped_by_depth(
     voxels : (27 b,) float32
         The distances of blocks.
     leaves, errors : (n,) int, (n,) float32
-        Children of the blocks, 8 block + octant, and the errors of these, in sides.
+        Children of the blocks, 8 block + octant, and their errors, in sides.
     level : int
-        Their level.
+        Level of these leaves.
     """
     blocks, (block, octant) = abs(voxels.reshape(-1, 3, 3, 3)), np.divmod(leaves, 8)
     x, y, z = octant & 1, octant >> 1 & 1, octant >> 2
