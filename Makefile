@@ -33,7 +33,7 @@ export OPENBLAS_NUM_THREADS := 1
 demo: .venv/all.done bunny.obj volume.vtu
 	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
 	.venv/bin/voxtool svo-info bunny.svo.h5
-	.venv/bin/voxtool extract bunny.svo.h5 --style surface-nets -o nets.ply
+	.venv/bin/voxtool extract bunny.svo.h5 -o nets.ply
 	.venv/bin/voxtool adf-build bunny.obj
 	.venv/bin/voxtool render bunny.adf.h5
 	.venv/bin/voxtool tet-build volume.vtu --scalar density

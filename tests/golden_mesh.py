@@ -16,13 +16,13 @@ import voxtool
 
 GOLDEN = Path(__file__).parent / "golden" / "mesh.json"
 REQUESTS = {
-    "smooth": {},
-    "smooth 0.2": {"isovalue": 0.2},
-    "smooth level 1": {"level": 1},
-    "smooth voxel": {"level": "voxel"},
+    "smooth": {"style": "marching-cubes", "level": 0},
+    "smooth 0.2": {"style": "marching-cubes", "level": 0, "isovalue": 0.2},
+    "smooth level 1": {"style": "marching-cubes", "level": 1},
+    "smooth voxel": {"style": "marching-cubes"},
     "blocks": {"style": "voxel-faces"},
     "blocks merged": {"style": "voxel-faces", "merge": True},
-    "nets": {"style": "surface-nets"},
+    "nets": {},
     "nets level 0": {"style": "surface-nets", "level": 0},
     "sharp": {"style": "sharp"},
 }

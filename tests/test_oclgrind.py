@@ -513,13 +513,13 @@ def extract_surfaces(device) -> None:
     dense[8:16, :8, :8] = True
     octree = octree_from_dense(dense)
     requests: tuple[dict[str, Any], ...] = (
-        {},
-        {"level": 1},
-        {"level": "voxel"},
+        {"style": "marching-cubes", "level": 0},
+        {"style": "marching-cubes", "level": 1},
+        {"style": "marching-cubes"},
         {"style": "voxel-faces"},
         {"style": "voxel-faces", "level": 0, "merge": True},
-        {"style": "surface-nets"},
-        {"style": "surface-nets", "level": 0},
+        {},
+        {"level": 0},
     )
     source = mesh_from_arrays(
         *meshes.box((1.25, 1.5, 1.75), (5.5, 6.25, 7.25))

@@ -30,6 +30,7 @@ LATTICES = {"D3Q19": 19, "D3Q27": 27}  # of lattice Boltzmann methods: their lin
 FLUIDS = ("unset", "set")  # which voxels are the fluid
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets", "sharp")  # of extracted surfaces
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS, SHARP = STYLES
+DEFAULT_STYLE = SURFACE_NETS
 # Names of version 0.1, which are still taken, and which digests still hold.
 STYLE_ALIASES = {"smooth": MARCHING_CUBES, "blocks": VOXEL_FACES, "nets": SURFACE_NETS}
 VOXEL_LEVEL = "voxel"  # of samples that are single voxels

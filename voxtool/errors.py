@@ -61,8 +61,10 @@ class DeviceWarning(VoxtoolWarning):
 
 def count_of(count: int, noun: str) -> str:
     """1 vertex, 2 vertices."""
-    plural = {"vertex": "vertices", "patch": "patches", "cavity": "cavities"}.get(noun, noun + "s")
-    return f"{count} {noun if count == 1 else plural}"
+    plural = {"vertex": "vertices", "patch": "patches", "cavity": "cavities", "leaf": "leaves"}.get(
+        noun, noun + "s"
+    )
+    return f"{count:,} {noun if count == 1 else plural}"
 
 
 LESS = "choose a smaller dim, picture or number of points"

@@ -210,6 +210,10 @@ class Job(ABC, Generic[Result]):
         """Remarks on decisions about the input that another tool may take otherwise, of `notes`."""
         return ()
 
+    def details(self, result: Result) -> Iterable[str]:
+        """Remarks that only `-v` prints, one line each: on how the result was made."""
+        return ()
+
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Name the stage to which the work in this block belongs."""

@@ -246,7 +246,7 @@ def test_the_order_and_type_of_keys_change_nothing(dtype: type) -> None:
         (np.array([[1, 2]]), "integers"),
         (
             np.broadcast_to(np.ones(3, np.int32), (2**30 + 1, 3)),
-            r"1073741825 keys.*1024\^3 slots.*smaller",
+            r"1,073,741,825 keys.*1024\^3 slots.*smaller",
         ),
     ],
 )

@@ -516,7 +516,7 @@ def test_forced_decisions_change_nothing() -> None:
     assert [one.what for one in found] == [*ablation.VOXELIZE, *ablation.METHODS]
     assert all(one.same and (one.model, one.work) == ("ball.obj", "solid") for one in found)
     assert all(len(one.runs) == len(one.forced) == 1 for one in found)
-    extraction = plan_extract(job.run(), level="voxel", device=device)
+    extraction = plan_extract(job.run(), style="marching-cubes", device=device)
     found = list(ablation.of_extract(extraction, bench, "marching-cubes"))
     assert [one.what for one in found] == [*ablation.EXTRACT, *ablation.PYRAMIDS]
     assert all(one.same for one in found)

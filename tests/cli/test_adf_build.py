@@ -70,7 +70,7 @@ def test_options_are_those_of_the_library(options: str, request_: dict, here: Pa
     for name in ("tolerance", "max_level", "band", "continuous", "sign", "origin", "side"):
         assert getattr(field, name) == getattr(expected, name)
     assert (field.bounds is None) == (not request_.get("bounds", True))
-    assert found["bytes"] == field.sizes()
+    assert found["textures"] == field.sizes()
     assert found["blocks"] == len(field.voxels)
     assert found["leaves_by_level"] == field.leaves_by_level()
     assert found["stages"]
@@ -96,7 +96,7 @@ def test_tolerance_in_the_units_of_the_mesh(here: Path) -> None:
 def test_size_is_what_was_asked_for(most: int, here: Path) -> None:
     """Within a tenth; and of a level that does not fit, the largest errors were refined."""
     found = told(f"box.obj --tolerance 1e-3 --max-level 6 --max-bytes {most}")
-    assert 0.9 * most <= sum(found["bytes"].values()) <= 1.1 * most
+    assert 0.9 * most <= sum(found["textures"].values()) <= 1.1 * most
     assert found["blocks"] == most // BLOCK_BYTES
     assert found["missed"] > 0
     more = told(f"box.obj --tolerance 1e-3 --max-level 6 --max-bytes {2 * most}")
@@ -114,6 +114,15 @@ def test_the_report(here: Path) -> None:
     assert all(line.startswith("voxtool: ") for line in lines)
     first = "voxtool: box.obj -> box.adf.h5: tolerance 0.01, sign pseudonormal; "
     assert lines[0].startswith(f"{first}{field.reached['leaves']:,} leaves in ")
+    near = field.reached["errors"]["near the surface"]
+    assert f"; error near the surface rms {near['rms']:.2g} sides; " in lines[0]
+    worst = field.reached["worst"]
+    assert (
+        f" sides; {field.reached['missed']:,} leaves over the tolerance by up to "
+        f"{worst['error'] - 0.01:.2g} sides: a higher --max-level helps, "
+    ) in lines[0]
+    assert run(f"adf-build box.obj {COARSE}").stderr.count("\n") == 1
+    assert ": more --max-bytes helps" in run("adf-build box.obj --max-bytes 5k").stderr
     for line, where in zip(lines[1:3], ("in the cube", "near the surface"), strict=True):
         errors = field.reached["errors"][where]
         assert line == (
@@ -121,20 +130,21 @@ def test_the_report(here: Path) -> None:
             f"max {errors['max']:.3g} sides; {100 * errors['within']:.2f} % of "
             f"{errors['points']:,} points within the tolerance"
         )
-    worst = field.reached["worst"]
-    assert lines[3].startswith(
-        f"voxtool:   missed    {field.reached['missed']:,} leaves are over the tolerance, by up to "
-        f"{worst['error'] - 0.01:.3g} sides, at level {worst['level']} near ("
+    place = ", ".join(f"{x:.6g}" for x in worst["where"])
+    assert lines[3] == (
+        f"voxtool:   missed    {field.reached['missed']:,} leaves that could have met the "
+        f"tolerance, the worst at level {worst['level']} near ({place})"
     )
-    words = [line.split()[1] for line in lines[4:7]]
-    assert words == ["cells", "leaves", "bytes"]
+    words = [line.split()[1] for line in lines[4:]]
+    assert [word for word in words[:4] if word != "medial"][:3] == ["cells", "leaves", "textures"]
+    assert ("medial" in words) == ("medial" in field.reached)
     assert "jumps" not in result.stderr
     assert "warning" not in result.stderr
 
 
 def test_strict_tells_and_writes(here: Path) -> None:
     exact = run("adf-build box.obj --tolerance 0.2 --max-level 3 --strict")
-    assert "missed" not in exact.stderr
+    assert exact.stderr.count("\n") == 1
     for options in ("", "--json"):
         result = process(f"adf-build box.obj {COARSE} --strict -q {options}", cwd=here)
         missed = read_adf("box.adf.h5").reached["missed"]
@@ -163,7 +173,7 @@ def test_strict_tells_and_writes(here: Path) -> None:
 def test_meshes_without_certain_signs(
     mesh: str, fault: str, sign: str, says: str, here: Path
 ) -> None:
-    lines = run(f"adf-build {mesh}.obj {COARSE} {sign}").stderr.splitlines()
+    lines = run(f"adf-build {mesh}.obj {COARSE} {sign} -v").stderr.splitlines()
     field = read_adf(f"{mesh}.adf.h5")
     warnings = [line for line in lines if "warning" in line]
     assert warnings == lines[: says != ""]

@@ -23,10 +23,12 @@ sign         winding
 tolerance    0.001 sides, 0.0025 mm
 band         everywhere
 levels       to 2, at most 2 asked for
+leaves       64
 faces        neighbours of other level may disagree
+jumps        in 1 of 64 leaves, as across a hole
+bytes        4,980
+memory       1,516 bytes, 23.7 a leaf
 steepest     1.5
-jumps        in 1 of 64 leaves
-bytes        1,516 on the device, 23.7 a leaf, 4,980 on disk
 hash         m 3, r 4, with w; load 33.3 %, 228 bits a key; identifiers of 32 bits
 
 texture            bytes   x, y, z, channels
@@ -70,13 +72,15 @@ def here(tmp_path: Path, monkeypatch) -> Path:
 
 
 def test_golden_field(here: Path) -> None:
-    result = run("adf-info small.adf.h5 --check")
+    result = run("adf-info small.adf.h5 --check -v")
     assert result.stderr == ""
     assert result.stdout == GOLDEN
+    first = GOLDEN[: GOLDEN.index("memory")]
+    assert run("adf-info small.adf.h5 --check").stdout == f"{first}\ncheck: ok\n"
 
 
 def test_deep_field(here: Path) -> None:
-    text = run("adf-info deep.adf.h5").stdout
+    text = run("adf-info deep.adf.h5 -v").stdout
     for words in (
         "band         0.125 sides, 0.125\n",
         "faces        neighbours agree\n",
@@ -102,7 +106,7 @@ def test_json(name: str, here: Path) -> None:
     assert found["shapes"] == {
         key: [*shape[2::-1], *(shape[3:] or (1,))] for key, shape in shapes.items()
     }
-    assert found["bytes"] == sum(field.sizes().values())
+    assert found["memory_bytes"] == sum(field.sizes().values())
     assert found["origin"] == list(field.origin)
     assert found["band"] == (None if np.isinf(field.band) else field.band)
     for attribute in ("side", "units", "sign", "tolerance", "max_level", "continuous", "lipschitz",

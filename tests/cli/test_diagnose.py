@@ -200,7 +200,7 @@ def test_an_open_mesh_that_faces_inwards(here: Path) -> None:
     found = report((vertices, faces[1:]))
     assert found["fills"]["winding"]["voxels"] == 0
     assert (found["recommended"]["fill"], found["auto"]) == ("auto", "winding")
-    assert "1279 faces turned outward" in found["recommended"]["why"]
+    assert "1,279 faces turned outward" in found["recommended"]["why"]
     assert found["fills"]["winding"]["share"] == 0 < found["fills"]["auto"]["share"]
 
 

@@ -26,10 +26,11 @@ LEVELS = [(style, level) for style in STYLES for level in (None, "voxel", 0, 2)]
 SAID = re.compile(
     r"voxtool: (\S+) -> (\S+): (marching-cubes|voxel-faces|surface-nets), "
     r"level (voxel|\d+), isovalue ([\d.]+); "
-    r"([\d,]+) vertices, ([\d,]+) triangles, \d+\.\d\d s\n"
+    r"([\d,]+) vertices, ([\d,]+) triangles; volume (\S+), of the voxels (\S+) "
+    r"\(([+-]\d+\.\d\d) %\), ([\d.]+) (bytes|kB|MB), \d+\.\d\d s\n"
 )
 LOST = re.compile(
-    r"voxtool: ([\d,]+) set voxels \(([\d.e-]+) %\) lie in samples below the isovalue, "
+    r"voxtool: +([\d,]+) set voxels \(([\d.e-]+) %\) lie in samples below the isovalue, "
     r"(?:all of them at the surface|([\d,]+) of them away from the surface: (.*))\n"
 )
 
@@ -60,9 +61,8 @@ def test_the_file_holds_what_was_said(style: str, level, here: Path) -> None:
     asked = "" if level is None else f"--level {level}"
     result = run(f"extract bunny.svo.h5 --style {style} {asked} -o a.obj")
     assert result.stdout == ""
-    line = said(result.stderr.splitlines(keepends=True)[-1 if level == 2 else 0])
-    default = "0" if style == "marching-cubes" else "voxel"
-    shown = default if level is None else str(level)
+    line = said(result.stderr[result.stderr.index("voxtool: bunny.svo.h5 ->") :])
+    shown = "voxel" if level is None else str(level)
     assert line.groups()[:5] == ("bunny.svo.h5", "a.obj", style, shown, "0.5")
     surface = extract(read_svo("bunny.svo.h5"), style=style, level=level)
     mesh = load_mesh("a.obj")
@@ -173,15 +173,17 @@ def test_stdin_and_stdout(here: Path) -> None:
 
 
 def test_json(here: Path) -> None:
-    result = run("extract bunny.svo.h5 --json --isovalue 0.4")
+    result = run("extract bunny.svo.h5 --json --isovalue 0.4 --style marching-cubes --level 0")
     found = json.loads(result.stdout)
     octree = read_svo("bunny.svo.h5")
-    surface = extract(octree, isovalue=0.4)
+    surface = extract(octree, isovalue=0.4, style="marching-cubes", level=0)
     assert found.pop("seconds") > 0
-    assert set(plan_extract(octree).stages) <= set(found.pop("stages"))
+    planned = plan_extract(octree, style="marching-cubes", level=0)
+    assert set(planned.stages) <= set(found.pop("stages"))
     assert len(found.pop("notes")) == 1
     assert found == {
         "output": "bunny.marching-cubes.obj",
+        "bytes": os.path.getsize("bunny.marching-cubes.obj"),
         "dim": 128,
         "style": "marching-cubes",
         "level": 0,
@@ -192,11 +194,41 @@ def test_json(here: Path) -> None:
         "voxels": octree.count,
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
+        "volume": surface.volume,
+        "octree_volume": octree.volume,
+        "volume_ratio": surface.volume / octree.volume,
         "coloured": False,
         "digest": surface.digest(),
         "warnings": [],
     }
-    assert told("extract bunny.svo.h5 --json --style surface-nets")["level"] == "voxel"
+
+
+def test_the_default_is_the_surface_of_the_voxels(here: Path) -> None:
+    """Surface nets of voxels; a coarser one is asked for."""
+    found = told("extract bunny.svo.h5 --json")
+    assert (found["style"], found["level"]) == ("surface-nets", "voxel")
+    assert found["output"] == "bunny.surface-nets.obj"
+    assert found["digest"] == extract(read_svo("bunny.svo.h5")).digest()
+    assert found == {**told("extract bunny.svo.h5 --json --style surface-nets --level voxel"),
+                     "seconds": found["seconds"], "stages": found["stages"]}  # fmt: skip
+    cubes = told("extract bunny.svo.h5 --json --style marching-cubes")
+    assert cubes["level"] == "voxel"
+    assert cubes["volume_ratio"] == pytest.approx(1, abs=0.005)
+
+
+def test_the_report_says_what_volume_is_lost(here: Path) -> None:
+    line = said(run("extract bunny.svo.h5 -o a.obj").stderr)
+    found = told("extract bunny.svo.h5 -o a.obj --json")
+    assert line[8] == f"{found['volume']:.6g}"
+    assert line[9] == f"{found['octree_volume']:.6g}"
+    assert float(line[10]) == pytest.approx(100 * (found["volume_ratio"] - 1), abs=0.006)
+    write_svo(octree_from_dense(ball((16, 16, 16), 0.25)), "small.svo.h5")
+    shrunk = run("extract small.svo.h5 -o a.obj").stderr
+    assert "--style marching-cubes keeps its volume" in shrunk
+    assert run("extract small.svo.h5 -o a.obj --style marching-cubes").stderr.count("\n") == 1
+    assert "--level voxel keeps its volume" in run("extract small.svo.h5 -o a.obj --level 0").stderr
+    exact = said(run("extract small.svo.h5 -o a.obj --style voxel-faces").stderr)
+    assert (exact[8], exact[10]) == (exact[9], "+0.00")
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -338,11 +370,11 @@ def test_a_refusal_names_no_level_that_the_octree_has_not(here: Path) -> None:
     [
         (
             "extract bunny.svo.h5 --merge",
-            "--merge goes with --style voxel-faces: marching-cubes has no",
+            "--merge goes with --style voxel-faces: surface-nets has no",
         ),
         (
-            "extract bunny.svo.h5 --merge --style surface-nets",
-            "--style voxel-faces: surface-nets has no",
+            "extract bunny.svo.h5 --merge --style marching-cubes",
+            "--style voxel-faces: marching-cubes has no",
         ),
         ("extract bunny.svo.h5 --style cubes", "'marching-cubes', 'voxel-faces', 'surface-nets'"),
         ("extract bunny.svo.h5 --level x", "'x': choose voxel, or a level"),
@@ -408,15 +440,17 @@ def test_solid_with_surface_has_an_inside(here: Path) -> None:
 
 def test_an_empty_result_is_an_error_that_says_what_to_do(here: Path) -> None:
     write_svo(plate(), "plate.svo.h5")
-    message = fail("extract plate.svo.h5 --isovalue 0.99 -o a.obj")
+    message = fail("extract plate.svo.h5 --level 0 --isovalue 0.99 -o a.obj")
     assert message.startswith("plate.svo.h5: none of the 81 set voxels lies in a sample")
     assert "isovalue 0.99" in message
     assert "--style surface-nets" in message
     assert "--dim 64" in message
     assert "lower isovalue" in message
-    assert "none of the 81" in fail("extract plate.svo.h5 --check --against bunny.obj -o a.obj")
-    run("extract plate.svo.h5 --isovalue 0.2 -o a.obj")
-    run("extract plate.svo.h5 --style surface-nets -o a.obj")
+    assert "none of the 81" in fail(
+        "extract plate.svo.h5 --level 0 --check --against bunny.obj -o a.obj"
+    )
+    run("extract plate.svo.h5 --level 0 --isovalue 0.2 -o a.obj")
+    run("extract plate.svo.h5 -o a.obj")
 
 
 def test_no_voxel_is_set(here: Path) -> None:
@@ -434,7 +468,7 @@ def test_lost_voxels(here: Path) -> None:
     near = np.count_nonzero(dense)
     dense[4:60, 2, 2] = True  # a hair that no sample holds
     write_svo(octree_from_dense(dense), "hair.svo.h5")
-    result = run("extract hair.svo.h5")
+    result = run("extract hair.svo.h5 --level 0")
     assert said(result.stderr)
     lost = LOST.search(result.stderr)
     assert lost, result.stderr
@@ -443,19 +477,23 @@ def test_lost_voxels(here: Path) -> None:
     assert "--dim 256" in lost[4]
     share = 100 * number(lost[1]) / (near + 56)
     assert float(lost[2]) == pytest.approx(share, rel=0.06)
-    found = told("extract hair.svo.h5 --json")
+    found = told("extract hair.svo.h5 --level 0 --json")
     assert (found["voxels_below_isovalue"], found["voxels_vanished"]) == (number(lost[1]), 56)
-    for more in ("--style surface-nets", "--style voxel-faces", "--level voxel"):
+    for more in ("", "--style voxel-faces", "--style marching-cubes"):
         assert "lie in samples" not in run(f"extract hair.svo.h5 {more}").stderr
-    assert "lie in samples" not in run("extract hair.svo.h5 --isovalue 0.001").stderr
+    assert "lie in samples" not in run("extract hair.svo.h5 --level 0 --isovalue 0.001").stderr
 
 
 def test_voxels_below_the_isovalue_that_the_surface_is_near(here: Path) -> None:
     write_svo(octree_from_dense(ball((64, 64, 64))), "ball.svo.h5")
-    lost = LOST.search(run("extract ball.svo.h5").stderr)
+    coarse = "extract ball.svo.h5 --style marching-cubes --level 0"
+    assert run(coarse).stderr.count("\n") == 1  # nobody need act on them
+    lost = LOST.search(run(f"{coarse} -v").stderr)
     assert lost
     assert lost[3] is None
-    assert number(lost[1]) == told("extract ball.svo.h5 --json")["voxels_below_isovalue"]
+    found = told(f"{coarse} --json")
+    assert number(lost[1]) == found["voxels_below_isovalue"]
+    assert len(found["notes"]) == 1
 
 
 # ---- quiet, verbose, and the bar

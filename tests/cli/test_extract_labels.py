@@ -14,6 +14,7 @@ from helpers_octree import ball
 
 import voxtool
 from voxtool.mesh import srgb
+from voxtool.mesh.topology import volume
 from voxtool.palette import palette
 from voxtool.svo.surface.labelled import LabelledSurface
 
@@ -92,13 +93,25 @@ def test_3mf(folder: Path) -> None:
 def test_report(folder: Path) -> None:
     found = json.loads(run("extract two.svo.h5 --by label --check --json -o a.obj").stdout)
     surface = expected("nets")
-    assert found["labels"] == surface.facts(check=True)
+    octree = voxtool.read_svo("two.svo.h5")
+    for one, facts in zip(found["labels"], surface.facts(check=True), strict=True):
+        count = np.count_nonzero(one["label"] == HALVES)
+        assert {name: one[name] for name in facts} == facts
+        assert one["volume"] == pytest.approx(volume(surface.mesh(one["label"])), rel=1e-12)
+        assert one["octree_volume"] == pytest.approx(count * octree.grid.voxel_volume)
+        assert one["volume_ratio"] == one["volume"] / one["octree_volume"]
+    assert found["octree_volume"] == pytest.approx(octree.volume)
+    assert found["volume"] == pytest.approx(sum(one["volume"] for one in found["labels"]))
     assert [one["name"] for one in found["labels"]] == list(NAMES)
     assert all(one["closed"] for one in found["labels"])
     assert found["digest"] == surface.digest()
     assert found["triangles"] == len(surface.faces)
-    text = run("extract two.svo.h5 --by label -o a.obj").stderr
-    assert f"  low: {surface.triangles[0]:,} triangles\n" in text
+    text = run("extract two.svo.h5 --by label -o a.obj -v").stderr
+    assert f"  low: {surface.triangles[0]:,} triangles, volume " in text
+    line = run("extract two.svo.h5 --by label -o a.obj").stderr.splitlines()[0]
+    assert f"volume {found['volume']:.6g}, of the voxels {found['octree_volume']:.6g} (" in line
+    worst = max(found["labels"], key=lambda one: abs(one["volume_ratio"] - 1))
+    assert f", at worst {worst['name']} {100 * (worst['volume_ratio'] - 1):+.2f} %, " in line
 
 
 def test_colours(folder: Path) -> None:

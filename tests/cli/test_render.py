@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
 import re
 import sys
 from fractions import Fraction
@@ -22,6 +23,7 @@ from PIL import Image, ImageSequence
 from voxtool.camera import Camera
 from voxtool.choices import METHODS, SEARCHES, VIEWS
 from voxtool.cli.render import OPTIONS_OF
+from voxtool.errors import human
 from voxtool.files import read_adf, read_svo, read_tet, write_svo
 from voxtool.files.picture import rounded
 from voxtool.palette import palette
@@ -74,7 +76,8 @@ def test_the_report(file: str, here: Path) -> None:
     assert result.stdout == ""
     name = f"{file.partition('.')[0]}.png"
     said = re.fullmatch(
-        rf"voxtool: {file} -> {name}: 80 x 60, iso view, ([\d.]+) % of pixels hit, \d+\.\d\d s\n",
+        rf"voxtool: {file} -> {name}: 80 x 60, iso view, ([\d.]+) % of pixels hit, "
+        rf"{human(os.path.getsize(name))}, \d+\.\d\d s\n",
         result.stderr,
     )
     assert said, result.stderr
@@ -154,6 +157,7 @@ def test_json(here: Path) -> None:
         "notes": [],
         "warnings": [],
         "output": "bunny.png",
+        "bytes": os.path.getsize("bunny.png"),
         "kind": "octree",
         "size": [60, 40],
         "samples": 3,

@@ -25,13 +25,14 @@ def test_voxelize_merges_as_svo_dag_does(small: str, here: Path) -> None:
 def test_what_svo_info_says(small: str, here: Path) -> None:
     plain = told("svo-info bunny.svo.h5 --json --digest --set-digest")
     merged = told(f"svo-info {small} --json --check --digest --set-digest")
-    same = ("digest", "set_digest", "nodes", "bricks", "bytes", "voxels", "dim", "plan")
+    same = ("digest", "set_digest", "nodes", "bricks", "memory_bytes", "voxels", "dim", "plan")
     assert {name: merged[name] for name in same} == {name: plain[name] for name in same}
     assert merged["subtrees"] == sum(row["subtrees"] for row in merged["levels"])
     assert merged["merged_bytes"] < merged["file_bytes"] < plain["file_bytes"]
     text = run(f"svo-info {small}").stdout
     assert f"\nmerged       {merged['subtrees']:,} distinct subtrees in" in text
-    assert "subtrees" not in run("svo-info bunny.svo.h5").stdout
+    assert "     subtrees\n" in run(f"svo-info {small} -v").stdout
+    assert "subtrees" not in run("svo-info bunny.svo.h5 -v").stdout
 
 
 def test_back_to_all_nodes(small: str, here: Path) -> None:

@@ -28,7 +28,7 @@ def written(name: str, points, cells, **data) -> None:
 
 def test_what_it_writes_and_says(here: Path) -> None:
     os.remove("volume.tet.h5")
-    result = run("tet-build volume.vtu --scalar density")
+    result = run("tet-build volume.vtu --scalar density -v")
     assert result.stdout == ""
     volume = read_tet("volume.tet.h5")
     assert volume.digest() == build_tet(read_unstructured("volume.vtu", "density")).digest()
@@ -38,7 +38,7 @@ def test_what_it_writes_and_says(here: Path) -> None:
         f"volume.vtu -> volume.tet.h5: {count:,} tetrahedra of density, "
         f"{len(volume.vertices)} vertices in "
     )
-    assert [line.split()[0] for line in lines[1:]] == [
+    assert [line.split()[0] for line in lines[1:8]] == [
         "cells", "points", "faces", "scalar", "rounding", "texels", "bytes",
     ]  # fmt: skip
     assert lines[1] == f"  cells     {counted()}; none turned or dropped"
@@ -57,7 +57,8 @@ def test_json(here: Path) -> None:
     volume = read_tet("a.tet.h5")
     assert found["output"] == "a.tet.h5"
     assert found["tetrahedra"] == len(volume.cells)
-    assert found["bytes"] == volume.sizes()
+    assert found["textures"] == volume.sizes()
+    assert found["bytes"] == os.path.getsize("a.tet.h5")
     assert found["bytes_a_cell"] == 96
     assert found["digest"] == volume.digest()
     assert found["scalar_range"] == [0, 2]
@@ -79,16 +80,18 @@ def test_a_component(here: Path) -> None:
 
 
 def test_layouts(here: Path) -> None:
-    lines = run("tet-build volume.vtu --scalar density --layout projection").stderr.splitlines()
+    command = "tet-build volume.vtu --scalar density --layout projection"
+    assert run(command).stderr.count("\n") == 1
+    lines = run(f"{command} -v").stderr.splitlines()
     volume = read_tet("volume.tet.h5")
     assert volume.layout == "projection"
     share = len(volume.vertices) / len(volume.cells)
-    assert f"bytes     {68 + 16 * share:.1f} a cell of table 4, 119 with OpenGL's" in lines[-1]
+    assert f"bytes     {68 + 16 * share:.1f} a cell of table 4, 119 with OpenGL's" in lines[7]
     points, cells = lattice((2, 2, 2))
     written("boxes.vtu", points, [("hexahedron", cells)], cell_data={"c": [np.arange(8.0)]})
-    lines = run("tet-build boxes.vtu --layout hexahedra").stderr.splitlines()
+    lines = run("tet-build boxes.vtu --layout hexahedra -v").stderr.splitlines()
     assert "boxes.vtu -> boxes.tet.h5: 8 hexahedra of c, 27 vertices in" in lines[0]
-    assert "136.0 a cell of table 5 with two more faces" in lines[-1]
+    assert "136.0 a cell of table 5 with two more faces" in lines[7]
     assert read_tet("boxes.tet.h5").cells.shape == (8, 8)
     message = fail("tet-build volume.vtu --scalar region --layout hexahedra")
     assert "cells beside hexahedra: use --layout raycast" in message
@@ -104,7 +107,7 @@ def test_what_was_done_to_the_mesh_is_said(here: Path) -> None:
     scalars = np.append(np.arange(8.0), 5)
     blocks = [("tetra", cells), ("triangle", cells[:3, :3])]
     written("odd.vtu", twin, blocks, point_data={"s": scalars})
-    lines = run("tet-build odd.vtu").stderr.splitlines()
+    lines = run("tet-build odd.vtu -v").stderr.splitlines()
     assert lines[1] == (
         "voxtool:   cells     9 tetra; 3 are no volumes and left out, 2 turned, 1 dropped as "
         "there already, 2 of zero volume dropped (1 with coincident points)"
@@ -115,7 +118,7 @@ def test_what_was_done_to_the_mesh_is_said(here: Path) -> None:
     apart = np.concatenate([points[hexes[0]], points[hexes[1]] + np.array([1e-7, 0, 0])])
     block = [("hexahedron", np.arange(16).reshape(2, 8))]
     written("seam.vtu", apart, block, point_data={"s": np.arange(16.0)})
-    assert "24 without a neighbour" in run("tet-build seam.vtu").stderr
+    assert "24 without a neighbour" in run("tet-build seam.vtu -v").stderr
     merged = told("tet-build seam.vtu --merge-distance 1e-6 --json")
     found = [merged[name] for name in ("boundary_faces", "merged_points", "merged_scalars")]
     assert found == [20, 4, 4]
@@ -180,7 +183,7 @@ def test_scalars_that_are_no_numbers(here: Path) -> None:
 
 def test_blunt_fin(here: Path) -> None:
     path = model("bluntfin.vtu")
-    done = process(f"tet-build {path} --scalar density", cwd=here)
+    done = process(f"tet-build {path} --scalar density -v", cwd=here)
     assert done.returncode == 0
     said = done.stderr.decode()
     assert "bluntfin.tet.h5: 187,318 tetrahedra of density, 40,921 vertices in 21.7 MB" in said

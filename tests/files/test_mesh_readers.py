@@ -271,7 +271,7 @@ PLY = (
         (b"list uchar int", b"list uchar float", "numbers that are not whole"),
         (b"list uchar int", b"list float int", "line 8: .* does not belong in a PLY header"),
         (b"list uchar int", b"int", "its faces have 0 lists vertex_indices"),
-        (b"vertex 3", b"vertex 99999", "cannot hold the 99999 vertices"),
+        (b"vertex 3", b"vertex 99999", "cannot hold the 99,999 vertices"),
         (b"property list", b"property uchar red\nproperty list", "line 14: a face of 0 vertices|3"),
         (b"property list", b"property list int int e\nproperty list", "ends before its list"),
         (b"format ascii", b"format binary_little_endian", "truncated"),

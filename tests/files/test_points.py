@@ -171,7 +171,9 @@ def test_a_stream_is_read_while_it_comes(monkeypatch) -> None:
         blocks = read_points("-", block=500)
         assert len(next(blocks)) == 500  # though the other end is open
         os.close(writer)
-        with pytest.raises(FileError, match="stdin: is cut short: 1000 of 10000 points are there"):
+        with pytest.raises(
+            FileError, match="stdin: is cut short: 1,000 of 10,000 points are there"
+        ):
             list(blocks)
 
 
@@ -250,7 +252,7 @@ FAULTS: list[tuple[str, bytes, str]] = [
     ("a.npy", header("[1]"), "is no .npy array, or its header is damaged"),
     ("a.npy", header("(" * 9000), "is no .npy array, or its header is damaged"),
     ("a.npy", header("'" + "a" * 20_000 + "'"), "is no .npy array, or its header is damaged"),
-    ("a.npy", described(shape="(999999999999, 3)"), "cut short: 41 of 999999999999 points are"),
+    ("a.npy", described(shape="(999999999999, 3)"), "cut short: 41 of 999,999,999,999 points are"),
     ("a.npy", npy(SMALL)[:-1], "is cut short: 4 of 5 points are there: copy it anew"),
     ("a.npy", npy(np.asfortranarray(SMALL))[:-1], "is cut short: 4 of 5 points"),
     ("a.npz", b"PK\3\4", "damaged .npz: File is not a zip file"),
@@ -289,7 +291,11 @@ FAULTS: list[tuple[str, bytes, str]] = [
     ("a.ply", TEXT.replace(b"vertex 5", b"vertex 900"), "line 18: 4 columns, too few"),
     ("a.ply", TEXT[: TEXT.index(b"9 7")], "is cut short: 2 of 5 points are there"),
     ("a.ply", BINARY[:-40], "is cut short: 4 of 5 points are there"),
-    ("a.ply", BINARY.replace(b"vertex 5", b"vertex 9999999999"), "short: 5 of 9999999999 points"),
+    (
+        "a.ply",
+        BINARY.replace(b"vertex 5", b"vertex 9999999999"),
+        "short: 5 of 9,999,999,999 points",
+    ),
     (
         "a.ply",
         BINARY.replace(b"element vertex", LISTS),

@@ -309,7 +309,9 @@ def test_declared_nodes_that_the_file_cannot_hold(tmp_path: Path, extension: str
     path = tmp_path / f"a.{extension}"
     path.write_bytes(gzip.compress(text, mtime=0) if extension.endswith("gz") else text)
     with memory_below(4 << 20):
-        refusal(files.read_svo, path, "1000000009 nodes are declared, which the file cannot hold")
+        refusal(
+            files.read_svo, path, "1,000,000,009 nodes are declared, which the file cannot hold"
+        )
 
 
 # Damage of any kind

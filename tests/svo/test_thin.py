@@ -136,7 +136,7 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     voxtool.write_mesh(voxtool.mesh_from_arrays(*meshes.icosphere(1)), "ball.obj")
     flags = "voxelize ball.obj --dim 24 --mode surface6"
     run(f"{flags} -o a.svo.h5")
-    done = run(f"{flags} --thin -o b.svo.h5")
+    done = run(f"{flags} --thin -o b.svo.h5 -v")
     assert "separated nothing" in done.stderr
     found = told("morph a.svo.h5 --thin -o c.svo.h5 --json")
     assert found["digest"] == voxtool.read_svo("b.svo.h5").digest()

@@ -66,6 +66,7 @@ def test_windows_make_the_surface(
         vertices = np.concatenate(list(found.vertices.blocks))
     np.testing.assert_array_equal(vertices, whole.vertices)
     assert (found.cubes, found.lost, found.text) == (whole.cubes, whole.lost, whole.text)
+    assert found.volume == whole.volume
     assert found.sizes == (len(points), len(faces))
     assert len(messages) > 7
 

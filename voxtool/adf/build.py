@@ -168,9 +168,12 @@ class FieldJob(Job["DistanceField"]):
                 f"nothing, or nothing as wide as a leaf of level {result.depth}"
             )
 
-    def notes(self, result: DistanceField) -> Iterator[str]:
-        """Yield what was decided to be inside, and whether voxels and levels waited on the disk."""
-        yield from self.doubts(result)
+    def notes(self, result: DistanceField) -> list[str]:
+        """Return what was decided to be inside, if there is something to say."""
+        return self.doubts(result)
+
+    def details(self, result: DistanceField) -> Iterator[str]:
+        """Yield a remark if voxels and levels waited on the disk."""
         if self._plan.stored:
             most = human(self._memory[0])
             yield f"built in windows: what does not fit in {most} waited on the disk"
@@ -253,8 +256,9 @@ class _Build:
         self.identifiers: list[np.ndarray] = []
         self.voxels = np.empty(0, np.float32)  # grows in place, so that it is never there twice
         self.codes: list[np.ndarray] = []
-        self.missed = self.jumps = 0
+        self.missed = self.medial = self.jumps = 0
         self.worst: tuple[float, int, int] | None = None  # error, level, identifier
+        self.worst_medial = 0.0
 
     def run(self, last: int | None = None) -> None:
         """Build the levels down to `last`, or all."""
@@ -350,6 +354,12 @@ class _Build:
         self.codes.append(np.where(leaves, found.codes, np.uint8(NO_LEAF)))
         self.jumps += int(np.count_nonzero((errors < 0) & leaves))
         over = np.flatnonzero((errors > np.float32(self.plan.tolerance)) & leaves)
+        if not len(over):
+            return
+        helped = helped_by_depth(found.voxels, over, errors[over], level.number + 1)
+        medial, over = over[~helped], over[helped]
+        self.medial += len(medial)
+        self.worst_medial = max(self.worst_medial, float(errors[medial].max(initial=0)))
         self.missed += len(over)
         if len(over):
             worst = over[np.argmax(errors[over])]
@@ -375,6 +385,8 @@ class _Build:
             "missed": self.missed,
             "jumps": self.jumps,
         }
+        if self.medial:
+            reached["medial"] = {"leaves": self.medial, "error": self.worst_medial}
         if self.worst:
             error, level, identifier = self.worst
             cell = cell_of(np.array([identifier], np.uint64))[1][0]
@@ -402,3 +414,27 @@ class _Build:
             units=mesh.units,
             transform=mesh.transform,
         )
+
+
+def helped_by_depth(
+    voxels: np.ndarray, leaves: np.ndarray, errors: np.ndarray, level: int
+) -> np.ndarray:
+    """Return which leaves over the tolerance smaller ones would help, (n,) bool: those that the
+    mesh may pass, and those whose error is no larger than where one point of the mesh is nearest.
+    The others lie along the medial axis, where the distance has an edge.
+
+    Parameters
+    ----------
+    voxels : (27 b,) float32
+        The distances of blocks.
+    leaves, errors : (n,) int, (n,) float32
+        Children of the blocks, 8 block + octant, and their errors, in sides.
+    level : int
+        Level of these leaves.
+    """
+    blocks, (block, octant) = abs(voxels.reshape(-1, 3, 3, 3)), np.divmod(leaves, 8)
+    x, y, z = octant & 1, octant >> 1 & 1, octant >> 2
+    corners = [blocks[block, z + (i >> 2), y + (i >> 1 & 1), x + (i & 1)] for i in range(8)]
+    half = math.sqrt(3) / 2 * 0.5**level  # of the diagonal: a corner is as near to every point
+    least = np.maximum(np.min(corners, axis=0).astype(float) - half, 0)
+    return (least == 0) | (errors <= np.sqrt(least * least + half * half) - least)

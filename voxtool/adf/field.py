@@ -72,10 +72,12 @@ class DistanceField(Data):
         The steepest slope in any leaf without a sign discontinuity.
     reached : dict
         JSON types: "leaves", their number; "missed", the number of leaves whose error exceeds the
-        tolerance, and if there are any, "worst": the largest error, its level, and its position
-        (world units); "jumps", the number of leaves in which the sign changes away from the
-        surface; "balanced", whether every leaf's neighbours are at most one level coarser;
-        "errors", as voxtool.adf.accuracy.measure_errors, if they were measured.
+        tolerance though smaller leaves would help, and if there are any, "worst": the largest error
+        of these, its level, and its position (world units); "medial", if there are any, the
+        "leaves" over the tolerance along the medial axis, and their largest "error"; "jumps", the
+        number of leaves in which the sign changes away from the surface; "balanced", whether every
+        leaf's neighbours are at most one level coarser; "errors", as
+        voxtool.adf.accuracy.measure_errors, if they were measured.
     plan : dict
         The part of the plan that depends on the mesh: JSON types.
     source_sha256 : str
@@ -263,7 +265,7 @@ class DistanceField(Data):
                 {"level": level, "cells": own, "leaves": left}
                 for level, own, left in zip(range(depth + 1), cells, [0, *leaves], strict=True)
             ],
-            "bytes": sum(sizes.values()),
+            "memory_bytes": sum(sizes.values()),
             "bytes_a_leaf": sum(sizes.values()) / sum(leaves),
             "textures": sizes,
             "shapes": shapes(self),

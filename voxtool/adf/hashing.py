@@ -120,7 +120,7 @@ def _checked(keys: np.ndarray) -> np.ndarray:
         raise VoxtoolError(f"keys are (n, 3) integers, not {keys.shape} {keys.dtype}")
     if len(keys) > 1 << 3 * SLOT_BITS:
         raise MemoryLimitError(
-            f"{len(keys)} keys are more than the {1 << SLOT_BITS}^3 slots of the largest table: "
+            f"{len(keys):,} keys are more than the {1 << SLOT_BITS}^3 slots of the largest table: "
             "choose a smaller level"
         )
     if keys.min(initial=1) < 1 or keys.max(initial=1) > MAX_KEY:

@@ -13,13 +13,13 @@ from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.choices import (
     COLOURS,
     DEFAULT_MODE,
+    DEFAULT_STYLE,
     FILLS,
     LABEL_STYLES,
     NORMALIZED,
     OPERATIONS,
     PRIORITIES,
     SHARP,
-    STYLES,
     VOXEL_LEVEL,
 )
 from voxtool.errors import VoxtoolError
@@ -206,16 +206,15 @@ def plan_extract(
     octree
         an Octree, a DistanceField or a path.
     style
-        of an octree: "marching-cubes", "voxel-faces" (two triangles a square), "surface-nets", or
-        "sharp", which keeps the edges and corners of the source; by default "marching-cubes", or
-        by labels "surface-nets". Of a field: "sharp", or by default a surface that rounds them off
-        within a leaf.
+        of an octree: "surface-nets" (the default), "marching-cubes", "voxel-faces" (two triangles a
+        square), or "sharp", which keeps the edges and corners of the source. Of a field: "sharp",
+        or by default a surface that rounds them off within a leaf.
     by
         "label": one closed mesh for each label of an octree that has labels, as "surface-nets" or
         "voxel-faces". Where two labels meet, their meshes have the same vertices and triangles.
     level
-        level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
-        marching cubes, otherwise "voxel".
+        "voxel" (the default): the samples are voxels; or the level of the nodes that are samples,
+        from 0 (bricks of 4 x 4 x 4 voxels) on, for a coarser surface.
     isovalue
         in (0, 1): a sample is inside if at least this share of its voxels is set.
     merge
@@ -250,7 +249,7 @@ def plan_extract(
 
     Examples
     --------
-    >>> surface = voxtool.extract(octree, style="surface-nets")
+    >>> surface = voxtool.extract(octree)
     >>> voxtool.write_mesh(surface, "bunny.ply")
     """
     found = opened(octree, read_shape)
@@ -265,9 +264,8 @@ def plan_extract(
             )
         style = style or LABEL_STYLES[0]
         return plan_labelled(found, by=by, style=style, device=device, max_memory=max_memory)
-    style = style or STYLES[0]
     if isinstance(found, DistanceField):
-        if (level, isovalue, merge) != (None, 0.5, False) or style not in (STYLES[0], SHARP):
+        if (level, isovalue, merge) != (None, 0.5, False) or style not in (None, SHARP):
             raise VoxtoolError(
                 "style (but sharp), level, isovalue and merge are of octrees: this is a field"
             )
@@ -282,8 +280,8 @@ def plan_extract(
     if source is not None:
         source = source_of(found, as_mesh(source, max_memory))
     return surfaces.plan_extract(
-        found, style=style, level=level, isovalue=isovalue, merge=merge, source=source,
-        device=device, max_memory=max_memory,
+        found, style=style or DEFAULT_STYLE, level=level, isovalue=isovalue, merge=merge,
+        source=source, device=device, max_memory=max_memory,
     )  # fmt: skip
 
 

@@ -120,7 +120,9 @@ def _of_dim(mesh: Mesh, dim: int, bench: Bench) -> Iterator[Point]:
         "surface26": lambda device: voxelize(mesh, grid, "surface26", device=device),
         "solid, parity": lambda device: voxelize(mesh, grid, fill="parity", device=device),
         "solid, auto": lambda device: voxelize(mesh, grid, device=device),
-        MARCHING_CUBES: lambda device: extract(octree, style=MARCHING_CUBES, device=device),
+        MARCHING_CUBES: lambda device: extract(
+            octree, style=MARCHING_CUBES, level=0, device=device
+        ),
     }
     if dim <= NETS_DIM:
         works[SURFACE_NETS] = lambda device: extract(octree, style=SURFACE_NETS, device=device)

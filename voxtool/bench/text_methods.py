@@ -155,7 +155,7 @@ def _compared(same: bool, what: str) -> str:
 
 def _compactions(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator[Row]:
     """Rows of marching cubes by the scan and by histogram pyramids."""
-    scan = plan_extract(octree, style=MARCHING_CUBES, device=bench.profiled)
+    scan = plan_extract(octree, style=MARCHING_CUBES, level=0, device=bench.profiled)
     jobs = {name: scan.with_(compaction=name) for name in COMPACTIONS}
     surfaces = {name: job.run().digest() for name, job in jobs.items()}
     profiles = bench.profile(*(job.run for job in jobs.values()))
@@ -174,7 +174,7 @@ def _compactions(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator
 
 def _cubes(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator[Row]:
     """Rows of marching cubes on the cubes that an octree needs, and on all."""
-    sparse = plan_extract(octree, style=MARCHING_CUBES, device=bench.profiled)
+    sparse = plan_extract(octree, style=MARCHING_CUBES, level=0, device=bench.profiled)
     naive = sparse.with_(naive=True)
     if not naive.plan.fits(naive.limit, bench.profiled.info.max_allocation):
         return

@@ -29,7 +29,7 @@ from voxtool.bench.references import (
     surface_of_peer,
     voxels_of_peer,
 )
-from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES
+from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES, VOXEL_LEVEL
 from voxtool.errors import VoxtoolWarning, human
 from voxtool.files import write_svo
 from voxtool.files.mesh import load_mesh
@@ -181,7 +181,10 @@ def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
         grid, fill = Grid.fit(mesh, dim), asked.fills[0]
         octree = voxelize(mesh, grid, "solid", fill=fill, device=bench.timed)
         source = mesh if style == SHARP else None
-        plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue, source=source)
+        level = 0 if style == MARCHING_CUBES else VOXEL_LEVEL  # 0: as its peers take them
+        plan = partial(
+            plan_extract, octree, style=style, level=level, isovalue=asked.isovalue, source=source
+        )
         job = plan(device=bench.timed)
         made = job.run()
         found = against.errors_of(made.mesh())
@@ -203,7 +206,7 @@ def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
         with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
             voxels = str(Path(folder, "in.svo.h5"))
             write_svo(octree, voxels)
-            options = ["--style", style, "--isovalue", str(asked.isovalue)]
+            options = ["--style", style, "--level", str(level), "--isovalue", str(asked.isovalue)]
             options += ["--source", str(bench.model)] if source else []
             yield _with_command(point, bench, "extract", voxels, *options, output="out.ply")
         if not asked.peers or style != MARCHING_CUBES:
@@ -223,7 +226,9 @@ def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
     if asked.ablations and MARCHING_CUBES in asked.styles:
         for dim in asked.dims:
             octree = voxelize(mesh, Grid.fit(mesh, dim), fill=asked.fills[0], device=bench.timed)
-            job = plan_extract(octree, isovalue=asked.isovalue, device=bench.timed)
+            job = plan_extract(
+                octree, style=MARCHING_CUBES, level=0, isovalue=asked.isovalue, device=bench.timed
+            )
             yield from ablation.of_extract(job, bench, f"{MARCHING_CUBES}, dim {dim}")
 
 

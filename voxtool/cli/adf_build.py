@@ -20,7 +20,7 @@ from voxtool.choices import (
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import BYTES, option, together
-from voxtool.errors import CheckError, human
+from voxtool.errors import CheckError, count_of, human
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -68,8 +68,8 @@ def command(
 
     MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. The field fills a cube
     whose side is 8/7 of the mesh's longest side. Its place is given in the mesh's own units, errors
-    in sides of the cube. The report ends with the errors of the field. --strict counts leaves over
-    the tolerance, too.
+    in sides of the cube. The report has the error near the surface, with -v all errors, and names
+    leaves over the tolerance that a higher --max-level helps; --strict counts these, too.
 
     \b
     Examples:
@@ -97,10 +97,10 @@ def command(
             options.warn(uncertain)
         field = run.job(job)
         run.write(write_adf, field)
-    reached, sizes = field.reached, field.sizes()
+    reached = field.reached
     run.report(
         f"tolerance {field.tolerance:.3g}, sign {field.sign}; {reached['leaves']:,} leaves in "
-        f"{human(sum(sizes.values()))}",
+        f"{run.size}{error_near(field)}{missed(field, request['max_bytes'] is not None)}",
         lambda: facts_of(field),
         details_of(field),
     )
@@ -124,7 +124,7 @@ def facts_of(field: DistanceField) -> dict[str, Any]:
         "blocks": n,
         "cells_by_level": field.cells_by_level(),
         "leaves_by_level": field.leaves_by_level(),
-        "bytes": field.sizes(),
+        "textures": field.sizes(),
         "hash_load": field.hash.load(n),
         "hash_bits_a_key": field.hash.bits_a_key(n),
         "lipschitz": field.lipschitz,
@@ -133,8 +133,33 @@ def facts_of(field: DistanceField) -> dict[str, Any]:
     }
 
 
+def error_near(field: DistanceField) -> str:
+    """Return the error near the surface, if it was measured."""
+    errors = field.reached["errors"].get("near the surface")
+    if not errors or not errors["points"]:
+        return ""
+    return f"; error near the surface rms {errors['rms']:.2g} sides"
+
+
+def missed(field: DistanceField, limited: bool) -> str:
+    """Return how many leaves could have met the tolerance, if any, and what helps; `limited`: the
+    bytes of the field were."""
+    if not field.reached["missed"]:
+        return ""
+    worst = field.reached["worst"]
+    helps = "more --max-bytes" if limited else "a higher --max-level"
+    if field.continuous and 0.5 ** worst["level"] < 2 * field.tolerance:
+        # at the edge between two planes, leaves so small err by less than that on their own; these
+        # take the values of coarser ones beside them
+        helps = "--cracks"
+    return (
+        f"; {count_of(field.reached['missed'], 'leaf')} over the tolerance by up to "
+        f"{worst['error'] - field.tolerance:.2g} sides: {helps} helps"
+    )
+
+
 def details_of(field: DistanceField) -> Iterator[str]:
-    """Yield lines of the errors, cells and bytes of a field."""
+    """Yield lines of the errors, cells and textures of a field."""
     n, reached = len(field.voxels), field.reached
     for where, errors in reached["errors"].items():
         if errors["points"]:
@@ -143,13 +168,16 @@ def details_of(field: DistanceField) -> Iterator[str]:
                 f"{errors['max']:.3g} sides; {100 * errors['within']:.2f} % of "
                 f"{errors['points']:,} points within the tolerance"
             )
-    if reached["missed"]:
-        worst = reached["worst"]
+    if worst := reached.get("worst"):
         place = ", ".join(f"{x:.6g}" for x in worst["where"])
         yield (
-            f"missed    {reached['missed']:,} leaves are over the tolerance, by up to "
-            f"{worst['error'] - field.tolerance:.3g} sides, at level {worst['level']} near "
-            f"({place})"
+            f"missed    {count_of(reached['missed'], 'leaf')} that could have met the tolerance, "
+            f"the worst at level {worst['level']} near ({place})"
+        )
+    if medial := reached.get("medial"):
+        yield (
+            f"medial    {count_of(medial['leaves'], 'leaf')} over the tolerance along the medial "
+            f"axis, by up to {medial['error'] - field.tolerance:.3g} sides"
         )
     if reached["jumps"]:
         yield f"jumps     {reached['jumps']:,} leaves, where the sign jumps, as across a hole"
@@ -163,7 +191,7 @@ def details_of(field: DistanceField) -> Iterator[str]:
         f"{first + 1}, ...{balance[reached.get('balanced')]}"
     )
     yield (
-        "bytes     "
+        "textures  "
         + ", ".join(f"{name} {human(size)}" for name, size in field.sizes().items())
         + f"; hash {100 * field.hash.load(n):.1f} % full, {field.hash.bits_a_key(n):.2f} bits a key"
     )

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli.info import describe, info_options, normalized, on_disk, place, section, table
+from voxtool.cli.info import describe, info_options, normalized, place, section, sizes, table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+SHOWN = ("missed", "errors")  # of what the build reached
 
 
 @click.command("adf-info")
@@ -31,10 +33,10 @@ def command(file: str, **asked: bool) -> None:
     describe(file, read_adf(file), text_of, **asked)
 
 
-def text_of(info: dict[str, Any]) -> Iterator[str]:
-    """The lines of a summary."""
+def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
+    """The lines of a summary, if verbose with how it is stored."""
     unit = f" {info['units']}" if info["units"] else ""
-    side, saved, hashed = info["side"], info["saved"], info["hash"]
+    side = info["side"]
 
     def length(sides: float | None) -> str:
         return "everywhere" if sides is None else f"{sides:.6g} sides, {sides * side:.6g}{unit}"
@@ -47,13 +49,31 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
         ("tolerance", length(info["tolerance"])),
         ("band", length(info["band"])),
         ("levels", f"to {info['depth']}, at most {info['max_level']} asked for"),
+        ("leaves", f"{info['leaves']:,}"),
         ("faces", "neighbours agree" if info["continuous"] else "neighbours of other level may "
          "disagree"),
+        *([] if info["jumps"] == 0 else [("jumps", jumps(info))]),
+        *sizes(info, verbose, f", {info['bytes_a_leaf']:.3g} a leaf"),
+    ))  # fmt: skip
+    if verbose:
+        yield from stored(info)
+    reached = info["reached"]
+    shown = reached if verbose else {name: reached[name] for name in SHOWN if name in reached}
+    yield from section("reached", shown)
+
+
+def jumps(info: dict[str, Any]) -> str:
+    """Return in how many leaves the sign jumps."""
+    if info["jumps"] is None:
+        return "unknown: without bounds"
+    return f"in {info['jumps']:,} of {info['leaves']:,} leaves, as across a hole"
+
+
+def stored(info: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of how a field is stored."""
+    saved, hashed = info["saved"], info["hash"]
+    yield from table((
         ("steepest", f"{info['lipschitz']:.6g}"),
-        ("jumps", "unknown: without bounds" if info["jumps"] is None else
-         f"in {info['jumps']:,} of {info['leaves']:,} leaves"),
-        ("bytes", f"{info['bytes']:,} on the device, {info['bytes_a_leaf']:.3g} a leaf"
-         f"{on_disk(info)}"),
         ("hash", f"m {hashed['m']}, r {hashed['r']}, {'with' if hashed['w'] else 'without'} w; "
          f"load {percent(hashed['load'])}, {hashed['bits_a_key']:.3g} bits a key; identifiers of "
          f"{hashed['identifier_bits']} bits"),
@@ -70,7 +90,6 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
     yield "\nlevel        cells       leaves"
     for row in info["levels"]:
         yield f"{row['level']:>5} {row['cells']:>12,} {row['leaves']:>12,}"
-    yield from section("reached", info["reached"])
 
 
 def percent(part: float) -> str:

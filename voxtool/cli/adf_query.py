@@ -131,7 +131,7 @@ def command(
             facts = answer(run, query, points or "-", search, asked)
     what = f"{facts['points']:,} pixels at {plane[0]}={plane[1]:g}" if plane else ""
     run.notes += notes_of(facts)
-    run.report(what or count_of(facts["points"], "point"), lambda: facts)
+    run.report(f"{what or count_of(facts['points'], 'point')}, {run.size}", lambda: facts)
 
 
 def stored_in(run: runner.Run, field: str, stack: ExitStack) -> StoredField | None:

@@ -61,7 +61,7 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
                 "measured; with 0, no distances, which take minutes on millions of triangles, and "
                 "no errors of voxels."),
     "styles": (options.Alias(STYLES, STYLE_ALIASES),
-               "Styles, as of `voxtool extract`, at their own levels."),
+               "Styles, as of `voxtool extract`: marching-cubes of level 0, the others of voxels."),
     "isovalue": (float, "Between 0 and 1."),
     "tolerances": (click.FloatRange(min=0),
                    "Errors that leaves may have, in sides of the cube.", "LENGTH,..."),

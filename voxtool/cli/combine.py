@@ -11,7 +11,6 @@ from voxtool.choices import OPERATIONS
 from voxtool.cli import options, runner
 from voxtool.cli.in_windows import loaded, make_in_windows, opened, windows_options
 from voxtool.cli.options import option
-from voxtool.errors import human
 from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
@@ -74,7 +73,7 @@ def command(
                 ]
             octree = run.job(job)
             run.write(export if run.file_format in EXPORTS else write_svo, octree)
-    text = f"{operation}, {octree.count:,} voxels in {human(octree.nbytes)}"
+    text = f"{operation}, {octree.count:,} voxels in {run.size}"
     with ExitStack() as stack:
         if parts and run.as_json:  # for its digests
             octree = stack.enter_context(open_svo(str(run.output)))

@@ -112,7 +112,9 @@ def command(
             facts = measure_points(run, loaded, points or "-", fill, asked)
     count, facts["units"] = facts["points"], loaded.units
     facts["transform"] = list(loaded.transform)
-    run.report(f"{count_of(count, 'distance')}, {facts['negative']:,} negative", lambda: facts)
+    run.report(
+        f"{count_of(count, 'distance')}, {facts['negative']:,} negative, {run.size}", lambda: facts
+    )
 
 
 def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dict[str, Any]:
@@ -154,7 +156,7 @@ def measure_points(
     run.enter("distance")
     with run.table(columns) as answers:
         for block in read_points(points):
-            after = f", after {answers.count} points" if answers.count else ""
+            after = f", after {answers.count:,} points" if answers.count else ""
             with run.naming(f"{options.shown(points)}{after}"):
                 found: Any = measure(block, **asked)
             parts = found if any(asked.values()) else [found]

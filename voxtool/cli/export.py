@@ -160,8 +160,8 @@ def command(
                 plan_export, content, run.output, not run.no_clobber, run.file_format,
                 windows=windows != "never", progress=run.progress.share, **image,
             )  # fmt: skip
-            size = run.job(job)
-        run.report(report_line(job, size), lambda: facts_of(job, content, size))
+            run.job(job)
+        run.report(report_line(job, run.size), lambda: facts_of(job, content))
 
 
 def write_links(
@@ -202,7 +202,7 @@ def write_links(
         run.write(write_wall_links, found)
     run.report(
         f"{found.lattice}, {found.count:,} links of {len(found.voxels):,} fluid voxels, "
-        f"{found.uncrossed:,} that no triangle crosses",
+        f"{found.uncrossed:,} that no triangle crosses, {run.size}",
         lambda: {
             "lattice": found.lattice,
             "fluid": found.fluid,
@@ -254,16 +254,15 @@ def grid_of(like: str | None, origin: Any, image: dict[str, Any]) -> dict[str, A
     return {"grid": Grid(shape, origin, spacing), "shape": None, "spacing": None}
 
 
-def report_line(job: ExportJob, size: int) -> str:
-    """Return the line of the report."""
-    return f"{ending(job.plan.name)}, {job.plan.text}" + (f", {human(size)}" if size else "")
+def report_line(job: ExportJob, size: str) -> str:
+    """Return the line of the report, of an output of this size."""
+    return f"{ending(job.plan.name)}, {job.plan.text}, {size}"
 
 
-def facts_of(job: ExportJob, content: Content, size: int) -> dict[str, Any]:
+def facts_of(job: ExportJob, content: Content) -> dict[str, Any]:
     """Return the facts of the report, in JSON types; the digest is that of the content."""
     return {
         "format": job.plan.name,
         **job.plan.facts,
-        "bytes": size,
         "digest": content.digest(),
     }

@@ -9,24 +9,31 @@ import click
 
 from voxtool.choices import (
     BY,
-    LABEL_STYLES,
+    DEFAULT_STYLE,
     MARCHING_CUBES,
     SHARP,
     STYLE_ALIASES,
     STYLES,
+    SURFACE_NETS,
     VOXEL_FACES,
+    VOXEL_LEVEL,
 )
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, POSITIVE, flag, option, output_of, together
-from voxtool.errors import CheckError, MemoryLimitError, MeshError
+from voxtool.errors import CheckError, MemoryLimitError, MeshError, count_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from voxtool.adf.field import DistanceField
     from voxtool.job import Job
     from voxtool.mesh.mesh import Mesh
     from voxtool.svo.content import OctreeContent
     from voxtool.svo.octree import Octree
     from voxtool.tiles.surface import SurfaceWindowsJob
+MUCH = 0.02  # of the volume
+ROUNDED = "the surface rounds off what is only a few samples wide: {} keeps its volume"
+ISOVALUE = 0.5
 SAMPLES = 100_000  # points on each surface at which distances are measured
 
 
@@ -34,18 +41,19 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
 @click.argument("octree")
 @together(
     option("--style", options.Alias(STYLES, STYLE_ALIASES),
-        "marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
-        "boundary of the voxels; surface-nets: smooth at full resolution, with every vertex inside "
-        "its cell; sharp: with the edges and corners of --source.  Coarser samples round off more."
-        "  [default: marching-cubes, with --by surface-nets]"),
+        "surface-nets: smooth, with every vertex inside its cell; marching-cubes: triangles in "
+        "each cut cube; voxel-faces: the exact boundary of the voxels; sharp: with the edges and "
+        f"corners of --source.  [default: {DEFAULT_STYLE}]"),
     option("--by", BY,
         "label: a closed mesh for each label, by name, in one .obj, .glb or .3mf; meshes side by "
         "side have the same vertices and triangles where they meet (surface-nets, voxel-faces)."),
     option("--level", LEVEL,
-        "What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
-        "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]", metavar="N|voxel"),
+        "voxel: the samples are voxels; N: the shares of set voxels of nodes of level N (0: bricks "
+        "of 4 x 4 x 4 voxels; higher: coarser), for fewer triangles, which round off more.",
+        VOXEL_LEVEL, metavar="N|voxel"),
     option("--isovalue", float,
-        "A sample is inside if at least this share of its voxels is set, between 0 and 1.", 0.5),
+        "A sample is inside if at least this share of its voxels is set, between 0 and 1.",
+        ISOVALUE),
     option("--source", str, "sharp: the mesh that the octree or the field was made from.",
         metavar="MESH"),
     option("--offset", float,
@@ -89,14 +97,14 @@ def command(
     \b
     Examples:
       voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
-      voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
+      voxtool extract bunny.svo.h5 --check --against bunny.obj
       voxtool extract bunny.svo.h5 --style sharp --source bunny.obj -o sharp.ply
-      voxtool extract bunny.svo.h5 --naive -v
+      voxtool extract bunny.svo.h5 --style marching-cubes --level 0 -o coarse.obj
       voxtool voxelize parts.glb --attributes colour -o - | voxtool extract - -o coloured.glb
       voxtool voxelize parts.glb --labels part -o - | voxtool extract - --by label -o labels.glb
       voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
     """
-    style = request["style"] = request["style"] or (LABEL_STYLES[0] if by else MARCHING_CUBES)
+    style = request["style"] or DEFAULT_STYLE
     if by is None and request["merge"] and style != VOXEL_FACES:
         raise click.UsageError(f"--merge goes with --style {VOXEL_FACES}: {style} has no squares")
     if samples is not None and against is None:
@@ -162,8 +170,7 @@ def command(
                 hint = "a .ply without other options is made in windows"
                 raise MemoryLimitError(f"{error}; {hint}") from error
         if check:
-            found = run.stage("check", surface.check)
-            more["check"] = found | volumes_of(shape, found["volume"])
+            more["check"] = run.stage("check", surface.check)
         if reference is not None:
             from voxtool.spatial.deviation import deviation
 
@@ -176,9 +183,17 @@ def command(
         else:
             found = surface if isinstance(surface, Isosurface) else surface.mesh()
             run.write(write_mesh, found, normals=surface.normals if normals else None)
+        text = f"{surface.text}; {count_of(len(surface.vertices), 'vertex')}, "
+        text += count_of(len(surface.faces), "triangle")
+        if isinstance(shape, OctreeContent):
+            volumes = volumes_of(surface.volume, shape.volume)
+            if check:
+                more["check"] |= volumes
+            text += f"; {volume_text(volumes, shape.units)}"
+            run.notes += rounded_off(volumes, surface)
         facts = facts_of(shape, surface) if run.as_json or more else {}
     run.report(
-        f"{surface.text}; {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles",
+        f"{text}, {run.size}",
         lambda: {**facts, **more},
         json_too=bool(more),
     )
@@ -193,7 +208,8 @@ def windows_of(
     None if it fits, or cannot be written in windows, as with fractions or colours."""
     from voxtool.tiles.surface import plan_windows
 
-    of_octree = {name: request[name] for name in ("style", "level", "isovalue", "merge")}
+    of_octree = {name: request[name] for name in ("level", "isovalue", "merge")}
+    of_octree["style"] = request["style"] or DEFAULT_STYLE
     if used_of(run, request) & {one.name for one in octree.attributes}:
         return None
     if request["offset"] is not None or request["shell"] is not None:
@@ -222,7 +238,7 @@ def planned(
 
     of_field = {name: request.pop(name) for name in ("offset", "shell")}
     if isinstance(source, DistanceField):
-        usual = {"style": MARCHING_CUBES, "level": None, "isovalue": 0.5}
+        usual = {"style": None, "level": VOXEL_LEVEL, "isovalue": ISOVALUE}
         usual |= {"merge": False, "naive": False}
         if "source" in request:
             of_field["source"] = request.pop("source")
@@ -237,6 +253,7 @@ def planned(
             raise click.UsageError(f"--{name} is of fields: build one with voxtool adf-build")
     if "source" in request:
         request["source"] = source_of(source, request["source"])
+    request["style"] = request["style"] or DEFAULT_STYLE
     job = run.plan(plan_extract, source, **request)
     if job.plan.colours and run.file_format not in COLOUR_FORMATS:
         held = ", ".join(f".{name}" for name in COLOUR_FORMATS)
@@ -277,15 +294,35 @@ def check_units(source: Octree | DistanceField, mesh: Mesh) -> None:
         )
 
 
-def volumes_of(source: Octree | DistanceField, within: float) -> dict[str, float]:
-    """Return the volume of an octree, and that within its surface as a share of it; of a field
-    nothing."""
-    from voxtool.adf.field import DistanceField
+def volumes_of(within: float, of_voxels: float) -> dict[str, float]:
+    """Return the volume within a surface, that of the voxels, and the first as a share of it."""
+    return {"volume": within, "octree_volume": of_voxels, "volume_ratio": within / of_voxels}
 
-    if isinstance(source, DistanceField):
-        return {}
-    set_volume = source.count * source.grid.voxel_volume
-    return {"octree_volume": set_volume, "volume_ratio": within / set_volume}
+
+def volume_text(volumes: dict[str, float], units: str) -> str:
+    """Return the volumes for people."""
+    unit = f" {units}^3" if units else ""
+    return (
+        f"volume {volumes['volume']:.6g}{unit}, of the voxels {volumes['octree_volume']:.6g}{unit} "
+        f"({percent_off(volumes)})"
+    )
+
+
+def percent_off(volumes: dict[str, float]) -> str:
+    """Return by how much the volume within a surface differs from that of the voxels."""
+    return f"{round(100 * (volumes['volume_ratio'] - 1), 2) + 0.0:+.2f} %"
+
+
+def rounded_off(volumes: dict[str, float], surface: Any) -> Iterator[str]:
+    """Yield what keeps the volume, if samples or relaxation have changed it much."""
+    if abs(volumes["volume_ratio"] - 1) <= MUCH or surface.isovalue != ISOVALUE:
+        return
+    if surface.lost.vanished:  # which has a note or a warning of its own
+        return
+    if surface.level != VOXEL_LEVEL:
+        yield ROUNDED.format(f"--level {VOXEL_LEVEL}")
+    elif surface.style == SURFACE_NETS:
+        yield ROUNDED.format(f"--style {MARCHING_CUBES}")
 
 
 def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, Any]:
@@ -306,6 +343,7 @@ def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, A
         "voxels": source.count,
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
+        **volumes_of(surface.volume, source.volume),
         "coloured": getattr(surface, "colours", None) is not None,
         **(
             {}

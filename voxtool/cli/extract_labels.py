@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import LABEL, VOXEL_LEVEL
+from voxtool.choices import LABEL, VOXEL_FACES, VOXEL_LEVEL
 from voxtool.cli import runner
-from voxtool.errors import CheckError, VoxtoolError, printable
+from voxtool.cli.extract import MUCH, ROUNDED, percent_off, volume_text, volumes_of
+from voxtool.errors import CheckError, VoxtoolError, count_of, printable
+
+if TYPE_CHECKING:
+    from voxtool.svo.content import AttributedContent
 
 SHOWN = 10  # labels that the report lists
 COLOURED = "glb"  # the format whose meshes have vertices of their own, with colours
@@ -55,6 +59,9 @@ def extract_labels(
                 job, ["check"] * check, empty=lambda surface: not len(surface.faces)
             )
         labels = run.stage("check", surface.facts, True) if check else surface.facts()
+        total = with_voxels(labels, shape)
+        if abs(total["volume_ratio"] - 1) > MUCH:
+            run.notes.append(ROUNDED.format(f"--style {VOXEL_FACES}"))
         run.write(write_mesh, surface)
         if run.as_json or check:
             facts = {
@@ -63,22 +70,45 @@ def extract_labels(
                 "by": by,
                 "vertices": len(surface.points),
                 "triangles": len(surface.faces),
+                **total,
                 "labels": labels,
                 "coloured": len(surface.colours) > 0,
                 "digest": surface.digest(),
             }
     run.report(
-        f"{surface.text}; {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles",
+        f"{surface.text}; {count_of(len(surface.vertices), 'vertex')}, "
+        f"{count_of(len(surface.faces), 'triangle')}; {volume_text(total, surface.units)}"
+        f"{_most_off(labels)}, {run.size}",
         lambda: facts,
-        _details(labels),
+        _details(labels, surface.units),
         json_too=check,
     )
     if check and (bad := [one["name"] for one in labels if not one["closed"]]):
         raise CheckError(f"{run.output}: the mesh of {bad[0]} is not closed: report this file")
 
 
-def _details(labels: list[dict[str, Any]]) -> list[str]:
-    """Return the triangles of the first labels, for people."""
-    shown = [f"{printable(one['name'])}: {one['triangles']:,} triangles" for one in labels[:SHOWN]]
+def with_voxels(labels: list[dict[str, Any]], octree: AttributedContent) -> dict[str, float]:
+    """Add to the facts of labels the volumes of their voxels; return the volumes of all."""
+    from voxtool.svo.label_counts import label_counts
+
+    counts, cell = label_counts(octree)[0], octree.grid.voxel_volume
+    for one in labels:
+        one |= volumes_of(one["volume"], float(counts[one["label"]]) * cell)
+    return volumes_of(*(sum(one[name] for one in labels) for name in ("volume", "octree_volume")))
+
+
+def _most_off(labels: list[dict[str, Any]]) -> str:
+    """Return the label whose volume differs most from that of its voxels, if there are several."""
+    most = max(labels, key=lambda one: abs(one["volume_ratio"] - 1))
+    return f", at worst {printable(most['name'])} {percent_off(most)}" if len(labels) > 1 else ""
+
+
+def _details(labels: list[dict[str, Any]], units: str) -> list[str]:
+    """Return the triangles and volumes of the first labels, for people."""
+    shown = [
+        f"{printable(one['name'])}: {count_of(one['triangles'], 'triangle')}, "
+        f"{volume_text(one, units)}"
+        for one in labels[:SHOWN]
+    ]
     more = len(labels) - len(shown)
     return [*shown, *([f"and {more:,} others: see --json"] if more else [])]

@@ -9,7 +9,6 @@ import click
 from voxtool.choices import OCTREE_MODES
 from voxtool.cli import options, runner
 from voxtool.cli.options import POINT, SPACING, flag, option, together
-from voxtool.errors import human
 from voxtool.files.formats import ADF_FORMATS, IMPORTS, OCTREE_FORMATS, SVO_FORMATS
 
 if TYPE_CHECKING:
@@ -97,11 +96,11 @@ def command(
     if as_field:
         from voxtool.cli.adf_build import facts_of
 
-        run.report(line_of(found), lambda: facts_of(found))
+        run.report(line_of(found, run.size), lambda: facts_of(found))
     else:
         from voxtool.cli.voxelize import facts_of, report_line
 
-        run.report(report_line(found), lambda: facts_of(found))
+        run.report(report_line(found, run.size), lambda: facts_of(found))
 
 
 def import_voccel(
@@ -124,14 +123,12 @@ def import_voccel(
         with run.naming(file):
             octree = placed(octree, grid, mode)
         run.write(write_svo, octree)
-    run.report(report_line(octree), lambda: facts_of(octree))
+    run.report(report_line(octree, run.size), lambda: facts_of(octree))
 
 
-def line_of(field: DistanceField) -> str:
-    """Return the line of the report of a field."""
+def line_of(field: DistanceField, size: str) -> str:
+    """Return the line of the report of a field, of an output of this size."""
     leaves, missed = field.reached["leaves"], field.reached["missed"]
-    return (
-        f"tolerance {field.tolerance:.3g}, sign {field.sign}; {leaves:,} leaves in "
-        f"{human(sum(field.sizes().values()))}"
-        + (f", of which {missed:,} miss the tolerance" if missed else "")
+    return f"tolerance {field.tolerance:.3g}, sign {field.sign}; {leaves:,} leaves in {size}" + (
+        f", of which {missed:,} miss the tolerance" if missed else ""
     )

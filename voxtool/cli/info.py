@@ -22,12 +22,16 @@ info_options = together(
     flag("--check", "Check every invariant."),
     flag("--digest", "Print the SHA-256 of the content, and that alone."),
     json_option,
+    flag(
+        "-v --verbose", "Print how it is stored, too: levels, bytes in memory, what was left out."
+    ),
 )
 
 
 def describe(
     file: str, content: OctreeContent | DistanceField,
-    text: Callable[[dict[str, Any]], Iterable[str]], *, check: bool, as_json: bool, **asked: bool,
+    text: Callable[[dict[str, Any], bool], Iterable[str]], *, check: bool, as_json: bool,
+    verbose: bool, **asked: bool,
 ) -> None:  # fmt: skip
     """Print the summary of the content of a file, as the lines of `text` or as JSON; or only the
     digests that are asked for, by the names of their methods, if there are any and no JSON. Reading
@@ -45,8 +49,11 @@ def describe(
     if as_json:
         print_json(info)
         return
-    for line in (*text(info), *section("left out", info["plan"].get("left_out"))):
+    for line in text(info, verbose):
         click.echo(line)
+    if verbose:
+        for line in section("left out", info["plan"].get("left_out")):
+            click.echo(line)
     if check:
         click.echo("\ncheck: ok")
 
@@ -56,8 +63,12 @@ def table(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
     return (f"{name:<12} {value}" for name, value in rows)
 
 
-def on_disk(info: dict[str, Any]) -> str:
-    return f", {info['file_bytes']:,} on disk" if "file_bytes" in info else ""
+def sizes(info: dict[str, Any], verbose: bool, more: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the line of the bytes of the file, and if verbose that of the bytes in memory."""
+    if "file_bytes" in info:
+        yield "bytes", f"{info['file_bytes']:,}"
+    if verbose:
+        yield "memory", f"{info['memory_bytes']:,} bytes{more}"
 
 
 def place(numbers: Iterable[float]) -> str:

@@ -122,7 +122,10 @@ def command(
                 result = run.job(job)
                 run.write(export if run.file_format in EXPORTS else write_svo, result)
         before = source.count
-    run.report(f"{before:,} voxels became {result.count:,}", lambda: facts_of(job, before, result))
+    run.report(
+        f"{before:,} voxels became {result.count:,}, {run.size}",
+        lambda: facts_of(job, before, result),
+    )
 
 
 def check_request(request: dict[str, Any]) -> None:

@@ -210,8 +210,8 @@ def command(
     hit = float((drawn[..., 3] != 0).mean())
     text = f"{size[0]} x {size[1]}, {viewpoint(request)}, {100 * hit:.3g} % of pixels hit"
     if turntable is not None:
-        text = f"{turntable} frames, the first {text}"
-    run.report(text, lambda: summary(job, drawn, hit))
+        text = f"{turntable:,} frames, the first {text}"
+    run.report(f"{text}, {run.size}", lambda: summary(job, drawn, hit))
 
 
 def asks_for_attributes(request: dict[str, Any]) -> bool:

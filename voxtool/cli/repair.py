@@ -78,7 +78,8 @@ def command(run: runner.Run, mesh: str, **request: Any) -> None:
     MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. It may have holes,
     flipped or repeated faces, open or intersecting parts. The voxels of a grid decide what is
     inside; the result follows MESH where it passes a voxel, and closes holes smoothly. Parts
-    thinner than a voxel may be lost. The report ends with the distances between the two.
+    thinner than a voxel may be lost. The report says how far the two lie apart at most; with -v,
+    and from where.
 
     \b
     Examples:
@@ -118,9 +119,11 @@ def execute(
             job = run.plan(plan_repair, loaded, grid_for(loaded, dim, tolerance), **given)
             result = run.job(job)
         run.write(write_mesh, result.mesh(), normals=result.normals if normals else None)
+    near = "" if any(request.get(name) for name in WALLS) else f"; {farthest(result)}"
     run.report(
-        report_line(result), lambda: facts_of(result), distance_lines(result), json_too=check
-    )
+        f"{report_line(result)}{near}, {run.size}", lambda: facts_of(result),
+        distance_lines(result), json_too=check,
+    )  # fmt: skip
     if check and result.faults:
         raise CheckError(f"{run.output}: {result.faults}")
 
@@ -129,10 +132,23 @@ def report_line(result: Repaired) -> str:
     """Return the line of the report."""
     found = result.checked
     kind = "closed and manifold" if found["closed"] else "not closed"
-    return (
+    line = (
         f"{kind}, {count_of(found['shells'], 'shell')}, genus {found['genus']}, "
-        f"{len(result.vertices):,} vertices, {len(result.faces):,} triangles"
+        f"{count_of(len(result.vertices), 'vertex')}, {count_of(len(result.faces), 'triangle')}"
     )
+    if wall := result.wall:
+        line += (
+            f"; thinnest wall {wall['thinnest']:.4g} of {wall['wanted']:.4g}, "
+            f"{count_of(wall['cavities'], 'cavity')}, {wall['closed']:,} of them closed"
+        )
+    return line
+
+
+def farthest(result: Repaired) -> str:
+    """Return how far the result and the mesh's outer surface lie from each other at most."""
+    ways = (result.distances[way] for way in ("result_to_mesh", "outer_mesh_to_result"))
+    most = max(way["max_upper"] for way in ways if way)
+    return f"at most {most:.3g} from the mesh, {most / result.distances['pitch']:.2f} voxels"
 
 
 def distance_lines(result: Repaired) -> list[str]:

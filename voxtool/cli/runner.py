@@ -5,17 +5,14 @@ decorators adds the shared options and passes their values as a `Run`, the first
 
     @click.command("voxelize")
     @click.argument("mesh")
-    @click.option("--mode", ...)
     @runner.job_options("FILE", "Default MESH's name with .svo.h5, in this folder.", "svo.h5")
-    def command(run: Run, mesh: str, mode: str) -> None:
-        \"\"\"Help.\"\"\"
+    def command(run: Run, mesh: str) -> None:
         run.to(mesh, options.output_of(mesh, "svo.h5"), SVO_FORMATS)
         with run:
             loaded = run.stage("read mesh", load_mesh, mesh)
-            job = run.plan(plan_voxelize, loaded, Grid.fit(loaded), mode)
-            octree = run.job(job)
+            octree = run.job(run.plan(plan_voxelize, loaded, Grid.fit(loaded)))
             run.write(write_svo, octree)
-        run.report(f"{octree.count:,} voxels", lambda: {"voxels": octree.count})
+        run.report(f"{octree.count:,} voxels in {run.size}", lambda: {"voxels": octree.count})
 
 The job's own stages are those of the progress bar; `--plan` ends the command at `run.job`. A
 command without an output file names its options with `run_options`, and calls `finish` instead of
@@ -37,13 +34,7 @@ import click
 from click.globals import push_context
 
 from voxtool.cli import options
-from voxtool.errors import (
-    CheckError,
-    FileError,
-    MemoryLimitError,
-    VoxtoolError,
-    human,
-)
+from voxtool.errors import CheckError, FileError, MemoryLimitError, VoxtoolError, human
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -90,6 +81,8 @@ class Run:
     seconds: float = 0.0
     notes: list[str] = field(default_factory=list)  # remarks that are no warnings
     doubts: list[str] = field(default_factory=list)  # those of --strict
+    details: list[str] = field(default_factory=list)  # remarks for -v
+    _before: int = 0  # bytes that were written before the output
     _times: dict[str, float] = field(default_factory=dict)  # of stages on the host
     _stage: tuple[str, float] | None = None  # the stage that runs, and when it began
 
@@ -109,12 +102,14 @@ class Run:
         click.UsageError : stdout is a terminal, and the format is not text.
         FileError : the file cannot be written, or its name does not say the format.
         """
+        from voxtool.files.atomic import written
         from voxtool.files.formats import TEXT_FORMATS, check_output, format_of
 
         self.source = source
         if self.output is None:
             self.output = default
         self.file_format = self.file_format or format_of(self.output, formats)
+        self._before = written()
         click.get_current_context().meta[options.TO_STDOUT] = self.to_stdout
         if self.only_plan:
             return
@@ -146,6 +141,18 @@ class Run:
     def to_stdout(self) -> bool:
         """True if stdout takes the result; reports then go to stderr."""
         return self.output == "-"
+
+    @property
+    def bytes(self) -> int:
+        """The bytes of the output, once it has been written."""
+        from voxtool.files.atomic import written
+
+        return written() - self._before
+
+    @property
+    def size(self) -> str:
+        """The bytes of the output for people."""
+        return human(self.bytes)
 
     def write(self, write: Callable[..., Any], content: Any, **more: Any) -> None:
         """Write the result: `write(content, output, clobber=..., format=..., **more)`."""
@@ -259,14 +266,9 @@ class Run:
         empty: Callable[[Result], bool] = lambda _: False,
         **facts: Any,
     ) -> Result:
-        """Run a job under the progress bar; with --plan, print its plan and end the command.
-
-        Parameters
-        ----------
-        after : stages of the command between the job and the writing of its result.
-        empty : whether a result cannot be written; its first warning is then the error.
-        facts : what --plan --json prints beside the plan.
-        """
+        """Run a job under the progress bar; with --plan, print its plan, and as JSON the `facts`,
+        and end the command. `after` are stages between the job and the writing of its result. The
+        first warning of a result that is `empty`, and cannot be written, is an error."""
         if self.only_plan:
             self.print_plan(job, facts, tuple(after))
         self.progress.stages = [*self._times, *job.stages, *after, WRITE]
@@ -282,6 +284,7 @@ class Run:
             self._times[JOB] = time.perf_counter() - began
         self.notes += job.notes(result)
         self.doubts += job.doubts(result)
+        self.details += job.details(result)
         return result
 
     @property
@@ -331,19 +334,14 @@ class Run:
         *,
         json_too: bool = False,
     ) -> None:
-        """Print the result: a line and its details on stderr, or the facts as JSON; then finish.
-
-        Parameters
-        ----------
-        text : the line, without the names of the files and the time.
-        facts : returns the JSON, without output, notes, warnings, stages and seconds.
-        json_too : print the JSON beside the line even without --json.
-        """
+        """Print the result: a line without names and time, notes, and with -v details, or the
+        `facts` as JSON, which `json_too` prints beside the line; then finish."""
         if self.item or self.as_json or json_too:
             result = {
                 "output": self.output,
+                "bytes": self.bytes,
                 **facts(),
-                "notes": self.notes,
+                "notes": [*self.notes, *self.details],
                 "warnings": options.issued_warnings(),
                 "stages": self.times if self.item or self.as_json else {},
                 "seconds": round(self.seconds, 3),
@@ -355,9 +353,11 @@ class Run:
         if not self.as_json:
             target = "stdout" if self.to_stdout else self.output
             options.tell(f"{options.shown(self.source)} -> {target}: {text}, {self.seconds:.2f} s")
-            lines = () if self.item else (f"  {detail}" for detail in details)
-            for line in (*lines, *self.notes):
+            for line in self.notes:
                 options.tell(line)
+            if self.verbose:
+                for line in (*details, *self.details):
+                    options.tell(f"  {line}")
         self.finish()
 
     def answer(self, facts: Mapping[str, Any], text: str) -> None:
@@ -415,7 +415,7 @@ class Run:
 
 # ---- options
 
-OWN = {"source", "progress", "notes", "doubts"}
+OWN = {"source", "progress", "notes", "doubts", "details"}
 SHARED = {field.name for field in fields(Run) if field.init} - OWN
 
 

@@ -9,7 +9,6 @@ import click
 
 from voxtool.cli import options, runner
 from voxtool.cli.options import flag
-from voxtool.errors import human
 from voxtool.files.formats import MERGED_FORMATS
 
 if TYPE_CHECKING:
@@ -54,22 +53,19 @@ def command(run: runner.Run, file: str, expand: bool) -> None:
                 whole, octree = octree, run.stage("merge subtrees", MergedOctree.of, octree)
                 run.notes += lost([whole])
         run.write(write_svo, octree)
-    run.report(report_line(octree), lambda: facts_of(octree))
+    run.report(report_line(octree, run.size), lambda: facts_of(octree))
 
 
-def report_line(octree: OctreeContent) -> str:
-    """Return the line of the report."""
+def report_line(octree: OctreeContent, size: str) -> str:
+    """Return the line of the report, of an output of this size."""
     info = octree.summary()
     if "subtrees" not in info:
-        return f"{info['nodes']:,} nodes in {human(info['bytes'])}"
-    return (
-        f"{info['nodes']:,} nodes in {human(info['bytes'])} became {info['subtrees']:,} subtrees "
-        f"in {human(info['merged_bytes'])}"
-    )
+        return f"{info['nodes']:,} nodes in {size}"
+    return f"{info['nodes']:,} nodes became {info['subtrees']:,} subtrees in {size}"
 
 
 def facts_of(octree: OctreeContent) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
-    names = ("nodes", "bricks", "bytes", "subtrees", "merged_bytes")
+    names = ("nodes", "bricks", "memory_bytes", "subtrees", "merged_bytes")
     info = octree.summary()
     return {name: info[name] for name in names if name in info} | {"digest": octree.digest()}

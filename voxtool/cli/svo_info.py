@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli.info import describe, info_options, normalized, on_disk, place, table
+from voxtool.cli.info import describe, info_options, normalized, place, sizes, table
 from voxtool.cli.options import flag, print_json
 from voxtool.errors import printable
 
@@ -58,10 +58,11 @@ def print_dtd(as_json: bool) -> None:
 def merged(info: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the line of a merged octree's subtrees, if it is one."""
     if "subtrees" in info:
-        size, times = info["merged_bytes"], info["bytes"] / info["merged_bytes"]
+        times = info["memory_bytes"] / info["merged_bytes"]
         yield (
             "merged",
-            f"{info['subtrees']:,} distinct subtrees in {size:,} bytes ({times:.1f} times fewer)",
+            f"{info['subtrees']:,} distinct subtrees in place of {info['nodes']:,} nodes, in "
+            f"{times:.1f} times less memory",
         )
 
 
@@ -69,7 +70,7 @@ def attributes(info: dict[str, Any], unit: str) -> Iterator[tuple[str, str]]:
     """Yield a line for each attribute of the voxels."""
     for name, one in info["attributes"].items():
         named = f" of {len(one['names']):,} names" if one["names"] else ""
-        values = f"{one['values'] + one['leaves']:,} values in {one['bytes']:,} bytes"
+        values = f"{one['values'] + one['leaves']:,} values"
         total = f", {one['sum']:.9g}{unit and unit + '^2'} in total" if "sum" in one else ""
         yield name, f"{one['dtype']}{named}, {values}{total}"
 
@@ -90,8 +91,8 @@ def labels(info: dict[str, Any], unit: str) -> Iterator[str]:
         yield f"{len(rows) - MOST_LABELS:,} more: --json has them all"
 
 
-def text_of(info: dict[str, Any]) -> Iterator[str]:
-    """The lines of a summary."""
+def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
+    """The lines of a summary, if verbose with how it is stored."""
     unit = f" {info['units']}" if info["units"] else ""
     size = " x ".join(map(str, info["shape"]))
     yield from table((
@@ -102,13 +103,19 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
         *normalized(*info["transform"]),
         ("set voxels", f"{info['voxels']:,} ({100 * info['occupancy']:.3g} % of the grid)"),
         ("volume", f"{info['volume']:.9g}{unit and unit + '^3'}"),
-        ("bricks", f"{info['bricks']:,}"),
-        ("bytes", f"{info['bytes']:,} on the device ({info['bytes_with_x_pointers']:,} with "
-         f"x-pointers){on_disk(info)}"),
+        *([("bricks", f"{info['bricks']:,}")] if verbose else []),
+        *sizes(info, verbose, f", {info['memory_bytes_with_x_pointers']:,} with x-pointers; "
+               f"{info['compression']:.1f} times smaller than a dense bit grid"),
         *merged(info),
         *attributes(info, unit),
-        ("compression", f"{info['compression']:.1f} times smaller than a dense bit grid"),
     ))  # fmt: skip
+    if verbose:
+        yield from levels(info)
+    yield from labels(info, unit and f" in{unit}^3")
+
+
+def levels(info: dict[str, Any]) -> Iterator[str]:
+    """Yield the lines of the levels."""
     distinct = "     subtrees" if "subtrees" in info else ""
     yield (
         "\nlevel   side        nodes      refined       inside          set voxels   coverage"
@@ -120,4 +127,3 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
             f"{row['inside']:>12,} {row['voxels']:>19,} {100 * row['coverage']:>8.2f} %"
             + (f" {row['subtrees']:>12,}" if distinct else "")
         )
-    yield from labels(info, unit and f" in{unit}^3")

@@ -80,7 +80,8 @@ def command(
             f"{count_of(outside, 'point')} {'is' if outside == 1 else 'are'} outside the grid"
         )
     run.report(
-        f"{count_of(facts['points'], 'point')}, {facts['contained']:,} in set voxels", lambda: facts
+        f"{count_of(facts['points'], 'point')}, {facts['contained']:,} in set voxels, {run.size}",
+        lambda: facts,
     )
 
 
@@ -99,7 +100,7 @@ def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
     run.enter("query")
     with run.table(columns) as answers:
         for block in read_points(points):
-            after = f", after {answers.count} points" if answers.count else ""
+            after = f", after {answers.count:,} points" if answers.count else ""
             with run.naming(f"{options.shown(points)}{after}"):
                 found = query(block)
             contained += int(np.count_nonzero(found.contains))

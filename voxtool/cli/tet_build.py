@@ -55,10 +55,9 @@ def command(
         mesh = run.stage("read mesh", read_unstructured, file, scalar, component, run.max_memory)
         volume = run.job(run.plan(plan_tet, mesh, layout, merge_distance, max_texture=max_texture))
         run.write(write_tet, volume)
-    size = human(sum(volume.sizes().values()))
     run.report(
         f"{len(volume.cells):,} {volume.noun} of {volume.scalar}, {len(volume.vertices):,} "
-        f"vertices in {size}",
+        f"vertices in {run.size}",
         volume.summary,
         details(volume),
     )

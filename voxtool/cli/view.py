@@ -12,7 +12,6 @@ import click
 from voxtool.cli import options, runner
 from voxtool.cli.options import flag, together
 from voxtool.cli.render import DIRECTION, fitting
-from voxtool.errors import human
 
 if TYPE_CHECKING:
     from voxtool.cli.runner import Run
@@ -89,8 +88,7 @@ def command(
         show_served(run, page, no_open)
         return
     run.report(
-        f"{page.content.kind}, {human(page.base_bytes + page.data_bytes)}, "
-        f"{human(page.data_bytes)} of them data",
+        f"{page.content.kind}, {run.size}",
         lambda: summary(page),
     )
     if not (no_open or run.to_stdout):

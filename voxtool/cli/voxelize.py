@@ -24,7 +24,7 @@ from voxtool.cli import options, runner
 from voxtool.cli.in_windows import make_in_windows, refuse_stdout, windows_options
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
-from voxtool.errors import MemoryLimitError, OnePieceError, human
+from voxtool.errors import MemoryLimitError, OnePieceError
 from voxtool.files.formats import EXPORTS, MERGED_FORMATS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def command(
                 run.write(export, octree)
             else:
                 run.write(write_svo, octree, doctype=doctype)
-    run.report(report_line(octree), lambda: facts_of(octree))
+    run.report(report_line(octree, run.size), lambda: facts_of(octree))
 
 
 def check_attributes(names: Sequence[str], others: dict[str, bool]) -> None:
@@ -265,7 +265,7 @@ def facts_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:
         "voxels": octree.count,
         "nodes": len(octree.nodes),
         "bricks": len(octree.bricks),
-        "bytes": octree.nbytes,
+        "memory_bytes": octree.nbytes,
         "digest": octree.digest(),
         **attributes_of(octree),
         **volumes_of(octree),
@@ -292,11 +292,8 @@ def volumes_of(octree: Any) -> dict[str, float]:
     return {name: number * octree.grid.voxel_volume for name, number in voxels.items()}
 
 
-def report_line(octree: Octree | BlockOctree | MergedOctree) -> str:
-    """Return the line of the report."""
-    size, merged = human(octree.nbytes), getattr(octree, "merged_bytes", None)  # of MergedOctree
-    if merged is not None:
-        size = f"{human(merged)}, merged from {size}"
+def report_line(octree: Octree | BlockOctree | MergedOctree, size: str) -> str:
+    """Return the line of the report, of an output of this size."""
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     volumes = volumes_of(octree)
     named = {"volume": "; volume", "mesh_volume": ", of the mesh"}

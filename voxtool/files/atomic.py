@@ -13,6 +13,7 @@ import os
 import platform
 import shutil
 import signal
+import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+_outputs = threading.local()
 MARK = ".voxtool"  # the empty file in folders that an export wrote
 HINTS = {
     errno.ENOSPC: "the disk is full: free some space, or write to another disk",
@@ -137,6 +139,7 @@ def atomic_folder(target: str | os.PathLike[str], clobber: bool = True) -> Itera
         for path in temporary.rglob("*"):
             if path.is_file():
                 _sync(path, os.O_RDWR)
+                count(path.stat().st_size)
         if real.exists():
             check_target(target, clobber, folder=True)
             with tempfile.TemporaryDirectory(".tmp", stem, real.parent) as aside:
@@ -227,7 +230,18 @@ def _sweep(folder: Path, stem: str) -> None:
                     continue
 
 
+def written() -> int:
+    """Return the bytes of all outputs that this thread has written."""
+    return getattr(_outputs, "bytes", 0)
+
+
+def count(size: int) -> None:
+    """Add the bytes of an output to those that this thread has written."""
+    _outputs.bytes = written() + size
+
+
 def _put_in_place(temporary: Path, target: Path, clobber: bool) -> None:
+    count(temporary.stat().st_size)
     if _is_device(target):
         with temporary.open("rb") as source, target.open("wb") as sink:
             shutil.copyfileobj(source, sink, 1 << 20)

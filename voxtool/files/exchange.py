@@ -31,8 +31,7 @@ from voxtool.adf.field import DistanceField
 from voxtool.adf.narrow_band import LevelSet
 from voxtool.adf.samples import FieldSamples, grid_over
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human
-from voxtool.files import streams
-from voxtool.files.atomic import atomic_folder
+from voxtool.files import atomic, streams
 from voxtool.files.attributes import chosen_attributes
 from voxtool.files.formats import (
     EXCHANGE,
@@ -172,7 +171,7 @@ class ExportPlan:
 
 @dataclass(eq=False)
 class ExportJob(Job[int]):
-    """A planned export; `run` writes it and returns its bytes, or 0 for stdout."""
+    """A planned export; `run` writes it and returns the bytes that were written."""
 
     plan: ExportPlan
     path: PathLike
@@ -196,17 +195,16 @@ class ExportJob(Job[int]):
         super().refuse()
 
     def _run(self) -> int:
-        plan = self.plan
+        plan, before = self.plan, atomic.written()
         write = writer_of(plan.name, "write", plan.image)
         with self.stage(WRITE):
             if plan.format.folder:
-                target = folder_of(self.path, plan.name)
-                with atomic_folder(target, self.clobber) as folder:
+                with atomic.atomic_folder(folder_of(self.path, plan.name), self.clobber) as folder:
                     write(plan.image, folder, **plan.options)
-                return streams.folder_size(target)
-            with streams.open_output(self.path, plan.format.text, self.clobber) as file:
-                write(plan.image, file, **plan.options)
-        return 0 if self.path == streams.STREAM else os.path.getsize(self.path)
+            else:
+                with streams.open_output(self.path, plan.format.text, self.clobber) as file:
+                    write(plan.image, file, **plan.options)
+        return atomic.written() - before
 
 
 def plan_export(

@@ -235,6 +235,6 @@ def triangles_in(name: str, vertices: int, rows: Rows) -> np.ndarray:
         line = np.repeat(rows.lines, np.maximum(sides - 2, 0))[face]
         raise MeshError(
             f"{name}, line {line}: the face names vertex {corners[face][wrong[face]][0]:g} where "
-            f"there are {vertices}, counted from 0: correct the index, or the file is truncated"
+            f"there are {vertices:,}, counted from 0: correct the index, or the file is truncated"
         )
     return corners.astype(np.int64)

@@ -372,7 +372,7 @@ def _index(word: bytes, known: int, total: int) -> int:
     index = int(match[1])
     absolute = index if index >= 0 else known + 1 + index
     if not 1 <= absolute <= total:
-        count = f"there are {total}" if index >= 0 else f"{known} stand above"
+        count = f"there are {total:,}" if index >= 0 else f"{known:,} stand above"
         raise MeshError(
             f"the face names vertex {index} where {count}, counted from 1: correct the index, or "
             "the file is truncated"

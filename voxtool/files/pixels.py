@@ -77,7 +77,7 @@ class Pictures:
             if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS * len(data):
                 raise MeshError(
                     f"{where}: {width} x {height} pixels, more than {MOST_SIDE} a side or than its "
-                    f"{len(data)} bytes can hold: make it smaller"
+                    f"{len(data):,} bytes can hold: make it smaller"
                 )
             self.pixels += width * height
             check_memory(

@@ -271,8 +271,8 @@ def _of_bytes(
 def _check_end(name: str, element: Element, end: int, data: bytes) -> None:
     if end > len(data):
         raise MeshError(
-            f"{name}: its {element.count} {printable(element.name)[:40]} rows end beyond its "
-            f"{len(data)} bytes: the file is truncated"
+            f"{name}: its {element.count:,} {printable(element.name)[:40]} rows end beyond its "
+            f"{len(data):,} bytes: the file is truncated"
         )
 
 

@@ -98,7 +98,7 @@ def _format(name: str, opening: bytes) -> str:
 def _cut_short(declared: int, there: int) -> FileError:
     """The error of a file that has fewer points than it declares."""
     points = count_of(declared, "point")
-    return FileError(f"is cut short: {there} of {points} are there: copy it anew")
+    return FileError(f"is cut short: {there:,} of {points} are there: copy it anew")
 
 
 # --- .npy and .npz -------------------------------------------------------------------------------

@@ -40,8 +40,9 @@ def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
         points = np.frombuffer(data, TRIANGLE, offset=HEAD)["points"]
     elif b"\0" in data[:1024] or not re.match(rb"\s*solid\b", data):
         raise MeshError(
-            f"{name}: {len(data)} bytes where an STL of {(size - HEAD) // TRIANGLE.itemsize} "
-            f"triangles, as the header counts, has {size}: the file is truncated or no STL"
+            f"{name}: {len(data):,} bytes where an STL of "
+            f"{(size - HEAD) // TRIANGLE.itemsize:,} "
+            f"triangles, as the header counts, has {size:,}: the file is truncated or no STL"
         )
     elif b"endsolid" not in data[-4096:].lower():
         raise MeshError(f"{name}: 'endsolid' is missing at its end: the file is truncated")

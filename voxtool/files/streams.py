@@ -10,6 +10,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from voxtool.errors import FileError, human, one_line
+from voxtool.files import atomic
 from voxtool.files.atomic import atomic_path, write_error
 from voxtool.memory import available_memory
 
@@ -113,6 +114,7 @@ def _standard_output(text: bool) -> Iterator[BinaryIO]:
     try:
         with tempfile.TemporaryFile() as file:
             yield file  # pyright: ignore[reportReturnType]
+            atomic.count(file.seek(0, os.SEEK_END))
             file.seek(0)
             shutil.copyfileobj(file, sys.stdout.buffer, 1 << 20)
         sys.stdout.buffer.flush()

@@ -207,7 +207,7 @@ class _Words:
             raise FileError("two numbers where one goes")
         end = self.filled + len(values)
         if end > len(self.array):
-            raise FileError(f"more than the {len(self.array)} {self.what} declared")
+            raise FileError(f"more than the {len(self.array):,} {self.what} declared")
         self.array[self.filled : end] = values
         self.filled = end
         self.pending.clear()
@@ -398,7 +398,7 @@ class _Reader:
         nodes, masks = int(offsets[-1]), 2 * int(offsets[-1] - offsets[-2])
         self.expect_size(self.size, nodes)
         if nodes * LEAST_NODE + masks * LEAST_MASK > self.text_limit:
-            raise FileError(f"{nodes} nodes are declared, which the file cannot hold: cut short?")
+            raise FileError(f"{nodes:,} nodes are declared, which the file cannot hold: cut short?")
         check_memory(8 * nodes + 4 * masks, "the nodes", "choose a smaller octree")
         self.allowed += ROW_BYTES * (nodes + masks)
         self.offsets = offsets

@@ -27,7 +27,7 @@ def words_of(bricks: np.ndarray) -> np.ndarray:
     they are too many for 30 bits."""
     if len(bricks) > MAX_BRICKS:
         raise FileError(
-            f"{len(bricks)} bricks are more than the {MAX_BRICKS} that voCCeL's links reach: "
+            f"{len(bricks):,} bricks are more than the {MAX_BRICKS:,} that voCCeL's links reach: "
             "write .svo.xml"
         )
     nodes = bricks.copy()

@@ -212,7 +212,9 @@ def check_counts(name: str, vertices: int, faces: int) -> None:
     """Refuse a mesh of more vertices or faces than int32 can number."""
     for count, what in ((faces, "triangles"), (vertices, "vertices")):
         if count > MAX_COUNT:
-            raise MeshError(f"{name}: {count} {what}, at most {MAX_COUNT} can be read: split it")
+            raise MeshError(
+                f"{name}: {count:,} {what}, at most {MAX_COUNT:,} can be read: split it"
+            )
 
 
 def check_promised(name: str, vertices: int, faces: int, size: int) -> None:
@@ -220,8 +222,8 @@ def check_promised(name: str, vertices: int, faces: int, size: int) -> None:
     check_counts(name, vertices, faces)
     if vertices + faces > size:
         raise MeshError(
-            f"{name}: {size} bytes cannot hold the {vertices} vertices and {faces} faces that the "
-            "header promises: the file is truncated"
+            f"{name}: {size:,} bytes cannot hold the {vertices:,} vertices and {faces:,} faces "
+            "that the header promises: the file is truncated"
         )
 
 
@@ -229,8 +231,8 @@ def check_complete(name: str, found: tuple[int, int], promised: tuple[int, int])
     """Refuse fewer vertices or faces than the header promises."""
     if found[0] < promised[0] or found[1] < promised[1]:
         raise MeshError(
-            f"{name}: {found[0]} vertices and {found[1]} faces where the header promises "
-            f"{promised[0]} and {promised[1]}: the file is truncated"
+            f"{name}: {found[0]:,} vertices and {found[1]:,} faces where the header promises "
+            f"{promised[0]:,} and {promised[1]:,}: the file is truncated"
         )
 
 
@@ -241,5 +243,5 @@ def check_indices(where: str, corners: np.ndarray, vertices: int) -> None:
         face = int(np.argmax(bad.any(axis=1)))
         raise MeshError(
             f"{where}: face {face} names vertex {corners[face][bad[face]][0]} where there are "
-            f"{vertices}, both counted from 0: correct the index, or the file is truncated"
+            f"{vertices:,}, both counted from 0: correct the index, or the file is truncated"
         )

@@ -70,7 +70,7 @@ class TopologyCheck:
             count_of(self.duplicate_faces, "duplicate face"),
             count_of(self.degenerate_faces, "degenerate face"),
             count_of(self.shells, "shell"),
-            f"Euler characteristic {self.euler}",
+            f"Euler characteristic {self.euler:,}",
         )
         return f"{'closed' if self.closed else 'not closed'}: {', '.join(counts)}"
 

@@ -228,27 +228,23 @@ class RepairJob(Job[Repaired]):
         chosen = plan_keep_components(octree, self.plan.keep)
         return chosen.run(), len(chosen.sizes)
 
-    def notes(self, result: Repaired) -> Iterator[str]:
+    def details(self, result: Repaired) -> Iterator[str]:
         """Yield what was done."""
         away = len(result.vertices) - result.on_target
         yield from self._doubts
         filled = "" if self.plan.thicken else f"filled by {result.fill}; "
+        moved = self.plan.offset or self.plan.shell or self.plan.thicken
         yield (
-            f"{filled}{count_of(away, 'vertex')} of {len(result.vertices)} away from the mesh or "
-            "from the distance asked: over holes, or where voxels are too coarse"
+            f"{filled}{count_of(away, 'vertex')} of {len(result.vertices):,} away from the "
+            f"{'distance asked' if moved else 'mesh'}: over holes, or where voxels are too coarse"
         )
         if result.components > (self.plan.keep or 0) > 0:
             dropped = result.components - (self.plan.keep or 0)
-            yield f"{count_of(dropped, 'component')} of {result.components} dropped"
+            yield f"{count_of(dropped, 'component')} of {result.components:,} dropped"
         if found := result.simplified:
             yield (
                 f"simplified from {found['triangles_before']:,} triangles: moved by at most "
                 f"{found['deviation']:.4g}, of {found['wanted']:.4g} allowed"
-            )
-        if result.wall:
-            yield (
-                f"{count_of(result.wall['cavities'], 'cavity')}, {result.wall['closed']} of them "
-                f"closed; the thinnest wall found is {result.wall['thinnest']:.4g}"
             )
 
     def doubts(self, result: Repaired) -> Sequence[str]:
@@ -261,8 +257,8 @@ class RepairJob(Job[Repaired]):
             yield result.faults
         if self.plan.drains and result.wall["closed"] > 0:
             yield (
-                f"{result.wall['closed']} of {count_of(result.wall['cavities'], 'cavity')} without "
-                "a drain: add drains, or choose a thicker wall"
+                f"{result.wall['closed']:,} of {count_of(result.wall['cavities'], 'cavity')} "
+                "without a drain: add drains, or choose a thicker wall"
             )
 
 

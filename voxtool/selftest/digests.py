@@ -15,7 +15,7 @@ import numpy as np
 
 from voxtool.adf.build import build_adf
 from voxtool.camera import Camera
-from voxtool.choices import FILLS, METHODS, SHARP, STYLES
+from voxtool.choices import FILLS, MARCHING_CUBES, METHODS, SHARP, STYLES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
@@ -61,8 +61,10 @@ def octrees(device: Device) -> Digests:
 def surfaces(device: Device) -> Digests:
     octree = voxelize(solid(), Grid.fit(solid(), 50), device=device)
     for style in STYLES:
-        source = solid() if style == SHARP else None
-        yield style, extract(octree, style=style, source=source, device=device).digest()
+        more: dict[str, Any] = {"source": solid()} if style == SHARP else {}
+        if style == MARCHING_CUBES:
+            more["level"] = 0
+        yield style, extract(octree, style=style, device=device, **more).digest()
 
 
 def fields(device: Device) -> Digests:

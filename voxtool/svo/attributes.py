@@ -158,7 +158,8 @@ class Attribute(Data):
 
     def summary(self) -> dict[str, Any]:
         """Return the type, sizes and names in JSON types; of areas also their sum."""
-        sizes = {"values": len(self.values), "leaves": len(self.leaves), "bytes": self.nbytes}
+        sizes = {"values": len(self.values), "leaves": len(self.leaves)}
+        sizes["memory_bytes"] = self.nbytes
         more = {"sum": float(self.total)} if self.name == "area" else {}
         return {**self.described, **sizes, **more}
 

@@ -355,12 +355,15 @@ class ComponentsJob(Job[Octree]):
             )
 
     def notes(self, result: Octree) -> Iterator[str]:
-        """Yield the sizes of the components, and which attributes are not kept."""
+        """Yield which attributes are not kept."""
+        return lost([self.octree], result.attributes)
+
+    def details(self, result: Octree) -> Iterator[str]:
+        """Yield the sizes of the components."""
         if len(self.sizes):
             sizes = ", ".join(f"{size:,}" for size in self.sizes[:SHOWN].tolist())
             more = ", ..." if len(self.sizes) > SHOWN else ""
             yield f"{count_of(len(self.sizes), 'component')}, of {sizes}{more} voxels"
-        yield from lost([self.octree], result.attributes)
 
 
 def plan_keep_components(

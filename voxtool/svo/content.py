@@ -184,16 +184,21 @@ class OctreeContent:
             "transform": list(self.transform),
             "voxels": below,
             "occupancy": below / size,
-            "volume": below * self.grid.voxel_volume,
+            "volume": self.volume,
             "nodes": len(self.nodes),
             "bricks": len(self.bricks),
-            "bytes": self.nbytes,
-            "bytes_with_x_pointers": self.nbytes + NODE_BYTES * len(self.nodes),
+            "memory_bytes": self.nbytes,
+            "memory_bytes_with_x_pointers": self.nbytes + NODE_BYTES * len(self.nodes),
             "compression": size / 8 / self.nbytes,
             "levels": levels[::-1],
             "attributes": {one.name: one.summary() for one in self.attributes},
             "plan": self.plan,
         }
+
+    @property
+    def volume(self) -> float:
+        """The volume of the set voxels, in cubic world units; of fractions that of their sum."""
+        return self.count * self.grid.voxel_volume
 
     @property
     def leaf_sizes(self) -> list[tuple[int, int]]:
@@ -245,14 +250,19 @@ class OctreeContent:
 class AttributedContent(OctreeContent):
     """The content of an octree whose set voxels may have attributes."""
 
+    @property
+    def volume(self) -> float:
+        """The volume of the set voxels, in cubic world units; of fractions that of their sum."""
+        if all(one.name != "fraction" for one in self.attributes):
+            return super().volume
+        from voxtool.svo.stored_volume import stored_volume  # which imports this module
+
+        return stored_volume(self) * self.grid.voxel_volume
+
     def summary(self) -> dict[str, Any]:
         """Return counts and sizes in JSON types, in world units; of labels also the voxels and the
         volume of each; of fractions the volume is their sum. See OctreeContent."""
         info, cell = super().summary(), self.grid.voxel_volume
-        if "fraction" in info["attributes"]:
-            from voxtool.svo.stored_volume import stored_volume  # which imports this module
-
-            info["volume"] = stored_volume(self) * cell
         if "label" in info["attributes"]:
             from voxtool.svo.label_counts import label_counts  # which imports this module
 

@@ -223,11 +223,14 @@ class ThinJob(Job[Octree]):
             yield OPEN.format(count=count, gone=count - result.count)
 
     def notes(self, result: Octree) -> Iterator[str]:
-        """Yield how many voxels went, and which attributes."""
+        """Yield which attributes are not kept."""
+        return lost([self.octree], result.attributes)
+
+    def details(self, result: Octree) -> Iterator[str]:
+        """Yield how many voxels went."""
         if count := self.octree.count:
             gone = count - result.count
             yield f"{gone:,} of {count:,} voxels ({100 * gone / count:.1f} %) separated nothing"
-        yield from lost([self.octree], result.attributes)
 
 
 def plan_thin(octree: Octree, *, max_memory: int | None = None) -> ThinJob:

@@ -153,7 +153,7 @@ def _corners(name: str, kind: str, block: np.ndarray, points: int) -> np.ndarray
         cell = int(np.argmax(bad.any(axis=1)))
         raise MeshError(
             f"{name}: {kind} {cell} names point {block[cell][bad[cell]][0]} where there are "
-            f"{points}, both counted from 0: correct the index, or the file is truncated"
+            f"{points:,}, both counted from 0: correct the index, or the file is truncated"
         )
     return block[:, :count].astype(np.uint32)
 

@@ -188,7 +188,7 @@ class TetVolume(Data):
             "scale": self.scale,
             self.noun: len(self.cells),
             "vertices": len(self.vertices),
-            "bytes": self.sizes(),
+            "textures": self.sizes(),
             "shapes": self.shapes(),
             "bytes_a_cell": self.bytes_a_cell(),
             "compared": COMPARED[self.layout],

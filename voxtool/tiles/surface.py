@@ -29,8 +29,8 @@ from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
 from voxtool.svo.surface.blocks import BlockSurface
 from voxtool.svo.surface.cut_cells import Sampling, find_tiles, lost_of, tree_of
-from voxtool.svo.surface.extract import plan_of, plan_unread, surface_of
-from voxtool.svo.surface.isosurface import LATTICE, Lost
+from voxtool.svo.surface.extract import is_much, losses, plan_of, plan_unread, surface_of
+from voxtool.svo.surface.isosurface import LATTICE, Lost, six_volumes
 from voxtool.svo.surface.plan import ExtractionPlan
 
 TILE = 4  # samples along a side
@@ -129,11 +129,14 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         lost, count = result.lost, self.octree.count
         if not result.sizes[1]:
             yield f"{count:,} voxels are set, and none lies in a sample that reaches the isovalue"
-        elif lost.below:
-            yield (
-                f"{lost.below:,} set voxels ({100 * lost.below / count:.2g} %) lie in samples "
-                f"below the isovalue, {lost.vanished:,} of them away from the surface"
-            )
+        elif is_much(lost, count):
+            yield losses(lost, count)
+
+    def details(self, result: BlockSurface) -> Iterator[str]:
+        """Yield what the samples lose if that is little."""
+        lost, count = result.lost, self.octree.count
+        if lost.below and not is_much(lost, count):
+            yield losses(lost, count)
 
     def _plan(self, side: int) -> SurfacePlan:
         """Return the plan of the largest windows of up to `side` voxels that are predicted to
@@ -173,7 +176,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
     def _joined(self) -> BlockSurface:
         """Return the surface of all windows."""
         cells = Cells(self.octree, self.plan.side)
-        self._cubes, self._lost = 0, np.zeros(2, np.int64)
+        self._cubes, self._lost, self._six = 0, np.zeros(2, np.int64), 0
         found: dict[int, Part] = {}
         windows = cells.mixed()
         for number, cell in enumerate(windows, 1):
@@ -204,6 +207,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         return BlockSurface(
             octree.grid, octree.units, whole.style, whole.level, self.sampling.side,
             whole.isovalue, sizes, points, faces, self._cubes, Lost(*self._lost.tolist()),
+            self._six,
         )  # fmt: skip
 
     def _part(self, cells: Cells, cell: np.ndarray) -> Part | None:
@@ -233,15 +237,17 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         lost = lost_of(found.lost)
         self._lost += lost.below, lost.vanished
         shift = (cell - 1) * (cells.side // self.sampling.side) * LATTICE
-        points = found.points.get(3 * low, 3 * high).reshape(-1, 3) + shift.astype(np.int32)
-        faces = found.triangles.get(*map(int, ends)).astype(np.int64) - low
+        points = found.points.get().reshape(-1, 3) + shift.astype(np.int32)
+        faces = found.triangles.get(*map(int, ends)).astype(np.int64)
+        self._six += six_volumes(points, faces.reshape(-1, 3))
+        faces -= low
         outer, places = np.unique(faces[(faces < 0) | (faces >= high - low)], return_inverse=True)
         faces[(faces < 0) | (faces >= high - low)] = high - low + places
         own = slice(begin, end)
         inner = morton_decode(codes[own]) % along
         sides = ((inner == 0) | (inner == along - 1)).any(axis=1)
         return Part(
-            self.store.put(points),
+            self.store.put(points[low:high]),
             self.store.put(faces.reshape(-1, 3).astype(np.uint32)),
             _places(cells, cell, outer + low, vertices, codes, along),
             (codes[own][sides] - np.uint32(core[0]), vertices[own][sides] - low),

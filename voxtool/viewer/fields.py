@@ -58,7 +58,8 @@ def _smaller_by(field: DistanceField, share: float) -> str:
     blocks = np.cumsum(field.cells_by_level())  # of fields that end at each next level
     level = int(np.searchsorted(blocks, share * blocks[-1], "right"))
     words = f"build it with --max-level {max(level, 1)}"
-    if field.tolerance and not field.reached.get("missed"):
+    over = field.reached.get("missed") or field.reached.get("medial")
+    if field.tolerance and not over:
         # where the tolerance decides, it is inverse to the number of leaves on a smooth surface
         words += f" or --tolerance {_rounded_up(field.tolerance / share)}"
     return words

@@ -39,6 +39,7 @@ from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.fraction_rows import FACES, Parts, Shares, sum_rows
+from voxtool.svo.exact_sums import whole_sum
 from voxtool.svo.layout import BRICK, BRICK_BYTES
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
@@ -97,14 +98,9 @@ def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
     total = 0
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         term = b[:, j] * c[:, k] - b[:, k] * c[:, j]
-        total += _exact_sum(a[:, i] * (term >> 31)) << 31
-        total += _exact_sum(a[:, i] * (term & 0x7FFFFFFF))
+        total += whole_sum(a[:, i] * (term >> 31)) << 31
+        total += whole_sum(a[:, i] * (term & 0x7FFFFFFF))
     return total
-
-
-def _exact_sum(values: np.ndarray) -> int:
-    """Return the sum of int64 values as a Python integer."""
-    return (int((values >> 32).sum()) << 32) + int((values & 0xFFFFFFFF).sum())
 
 
 @dataclass(frozen=True)

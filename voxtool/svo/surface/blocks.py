@@ -10,7 +10,7 @@ import numpy as np
 
 from voxtool.arrays import Blocks, digest_of_blocks
 from voxtool.grid import Grid
-from voxtool.svo.surface.isosurface import Lost, head_of, in_world
+from voxtool.svo.surface.isosurface import Lost, enclosed, head_of, in_world
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,8 @@ class BlockSurface:
     """A surface as an Isosurface has it, whose points and faces come in blocks, each time that they
     are asked for.
 
-    read_points, read_faces : return (n, 3) int32 blocks; sizes : the numbers of points and faces.
+    read_points, read_faces : return (n, 3) int32 blocks; sizes : the numbers of points and faces;
+    six : six times its volume, as of six_volumes.
     """
 
     grid: Grid
@@ -32,6 +33,7 @@ class BlockSurface:
     read_faces: Callable[[], Iterator[np.ndarray]]
     cubes: int
     lost: Lost
+    six: int
     features = None
 
     @property
@@ -54,6 +56,11 @@ class BlockSurface:
         """(V, 3) float64: the vertices, in world units."""
         placed = (in_world(points, self.side, self.grid) for points in self.read_points())
         return Blocks(self.sizes[0], np.dtype(np.float64), placed)
+
+    @property
+    def volume(self) -> float:
+        """The volume that the surface encloses, in cubic world units."""
+        return enclosed(self.six, self.side, self.grid)
 
     def digest(self) -> str:
         """Return the digest of the Isosurface."""

@@ -21,12 +21,14 @@ from typing import Any, Self
 import numpy as np
 
 from voxtool.choices import (
+    DEFAULT_STYLE,
     MARCHING_CUBES,
     SHARP,
     STYLE_ALIASES,
     STYLES,
     SURFACE_NETS,
     VOXEL_FACES,
+    VOXEL_LEVEL,
 )
 from voxtool.errors import VoxtoolError, count_of
 from voxtool.job import Job, one_call
@@ -47,7 +49,7 @@ from voxtool.svo.surface.cut_cells import (
     lost_of,
 )
 from voxtool.svo.surface.dual import dual_surface
-from voxtool.svo.surface.isosurface import Isosurface
+from voxtool.svo.surface.isosurface import Isosurface, Lost
 from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import (
     COMPACTIONS,
@@ -69,7 +71,7 @@ MUCH_BELOW, MUCH_VANISHED = 0.5, 0.01
 def plan_extract(
     octree: Octree,
     *,
-    style: str = MARCHING_CUBES,
+    style: str = DEFAULT_STYLE,
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
@@ -99,7 +101,7 @@ extract = one_call(plan_extract, "extract", Isosurface)
 def plan_unread(
     octree: OctreeContent,
     *,
-    style: str = MARCHING_CUBES,
+    style: str = DEFAULT_STYLE,
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
@@ -127,10 +129,9 @@ def _checked(
     if style not in STYLES:
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     fractions = has_fractions(octree)
-    if level is None:
-        level = 0 if style == MARCHING_CUBES and not fractions else "voxel"
+    level = VOXEL_LEVEL if level is None else level
     number = level_number(octree, level, _coarsest(octree))
-    level = "voxel" if number == VOXEL else number
+    level = VOXEL_LEVEL if number == VOXEL else number
     try:
         share = float(isovalue)
     except (TypeError, ValueError):
@@ -145,14 +146,14 @@ def _checked(
             if style == SHARP
             else f"a source goes with style {SHARP}, not {style}"
         )
-    if style == SHARP and level != "voxel":
+    if style == SHARP and level != VOXEL_LEVEL:
         raise VoxtoolError(f"level {level}: a {SHARP} surface has voxels as samples")
-    if fractions and (style == SHARP or level != "voxel"):
+    if fractions and (style == SHARP or level != VOXEL_LEVEL):
         raise VoxtoolError(
             f"style {style}, level {level}: the octree has fractions, which are of voxels: choose "
             f"level voxel and no style {SHARP}, or voxelize with --mode solid"
         )
-    if "solid" not in octree.mode and (style, level) != (VOXEL_FACES, "voxel"):
+    if "solid" not in octree.mode and (style, level) != (VOXEL_FACES, VOXEL_LEVEL):
         raise VoxtoolError(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
             f"voxelize with --mode solid, or extract --style {VOXEL_FACES} --level voxel"
@@ -232,6 +233,20 @@ def surface_of(
 def _coarsest(octree: OctreeContent) -> int:
     """Return the highest level whose nodes can be samples."""
     return min(octree.depth - 1, MAX_LEVEL)
+
+
+def is_much(lost: Lost, count: int) -> bool:
+    """Return whether the samples lose so many of the set voxels that it is a warning."""
+    return lost.below > MUCH_BELOW * count or lost.vanished > MUCH_VANISHED * count
+
+
+def losses(lost: Lost, count: int) -> str:
+    """Return how many of the set voxels the samples do not show."""
+    where = f"{lost.vanished:,} of them away from" if lost.vanished else "all of them at"
+    return (
+        f"{lost.below:,} set voxels ({100 * lost.below / count:.2g} %) lie in samples below the "
+        f"isovalue, {where} the surface"
+    )
 
 
 class ExtractJob(Job[Isosurface]):
@@ -339,7 +354,7 @@ class ExtractJob(Job[Isosurface]):
                 f"none of the {count:,} set voxels lies in a sample that reaches the isovalue "
                 f"{result.isovalue:g}: {self._keeping()}, or choose a lower isovalue"
             )
-        elif lost.below > MUCH_BELOW * count or lost.vanished > MUCH_VANISHED * count:
+        elif is_much(lost, count):
             yield self._losses(result)
         if result.features and (tangled := result.features.crossed + result.features.undecided):
             yield (
@@ -349,25 +364,25 @@ class ExtractJob(Job[Isosurface]):
 
     def notes(self, result: Isosurface) -> Iterator[str]:
         """Yield what the samples lose if that is little, and why colours are left out."""
+        if result.lost.vanished and not is_much(result.lost, self.octree.count):
+            yield self._losses(result)
+        if self.plan.coloured and self.plan.merge:
+            yield f"colours are left out: {MERGED_COLOURS}; without --merge they are written"
+
+    def details(self, result: Isosurface) -> Iterator[str]:
+        """Yield which voxels the samples round off, and which vertices no plane places."""
         if result.features and result.features.open:
             yield (
                 f"{count_of(result.features.open, 'vertex')} of {len(result.points):,} have no "
                 "crossing with the source and are placed as in surface nets"
             )
-        if result.lost.below and not list(self.findings(result)):
-            yield self._losses(result)
-        if self.plan.coloured and self.plan.merge:
-            yield f"colours are left out: {MERGED_COLOURS}; without --merge they are written"
+        lost, count = result.lost, self.octree.count
+        if lost.below and not (lost.vanished or is_much(lost, count)):
+            yield losses(lost, count)
 
     def _losses(self, result: Isosurface) -> str:
         """Return the number of voxels that the samples do not show, and what would keep them."""
-        lost, count = result.lost, self.octree.count
-        where = f"{lost.vanished:,} of them away from" if lost.vanished else "all of them at"
-        serious = lost.vanished or lost.below > MUCH_BELOW * count
-        return (
-            f"{lost.below:,} set voxels ({100 * lost.below / count:.2g} %) lie in samples below "
-            f"the isovalue, {where} the surface{f': {self._keeping()}' if serious else ''}"
-        )
+        return f"{losses(result.lost, self.octree.count)}: {self._keeping()}"
 
     def _keeping(self) -> str:
         """Return what would keep voxels that samples lose: samples of their own size, or smaller
@@ -377,7 +392,7 @@ class ExtractJob(Job[Isosurface]):
         finer = BRICK_SIDE * self.octree.grid.dim
         hints = []
         if _plan(self.octree, SURFACE_NETS, "voxel", 0.5)[1].samples <= MAX_SAMPLES:
-            hints.append(f"--level voxel --style {SURFACE_NETS} keeps them all")
+            hints.append(f"--level {VOXEL_LEVEL} --style {SURFACE_NETS} keeps them all")
         if finer <= BRICK_SIDE * MAX_SAMPLES:
             hints.append(f"voxelizing with --dim {finer} may keep them")
         return ", ".join(hints) or "a lower isovalue may keep them"

@@ -23,13 +23,13 @@ from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import closed_chain, volume
+from voxtool.mesh.topology import closed_chain
 from voxtool.opencl import Device
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.borders import AT_ONCE, Blocks, find_borders
 from voxtool.svo.surface.colours import has_colours, surface_colours
-from voxtool.svo.surface.isosurface import in_world, painted
+from voxtool.svo.surface.isosurface import enclosed, in_world, painted, six_volumes
 from voxtool.svo.surface.junctions import corner_points, net_of, relaxed_points, split
 from voxtool.svo.surface.plan import RELAXATIONS
 
@@ -136,17 +136,17 @@ class LabelledSurface(Data):
         return [self.mesh(label) for label in self.labels]
 
     def facts(self, check: bool = False) -> list[dict[str, Any]]:
-        """Return the triangles of each label, and how many of them are borders with other labels,
-        in JSON types; on request also whether its mesh is closed, and its volume."""
+        """Return the triangles of each label, how many of them are borders with other labels, and
+        the volume within them, in JSON types; on request also whether its mesh is closed."""
         inner = np.bincount(self.sides[(self.sides != UNSET).all(axis=1)].ravel(), minlength=1)
         found = []
         for label in self.labels:
             shared = int(inner[label]) if label < len(inner) else 0
             own = {"label": label, "name": self.names[label]}
             own |= {"triangles": int(self.triangles[label]), "shared_triangles": shared}
+            own["volume"] = enclosed(six_volumes(self.points, self.faces_of(label)), 1, self.grid)
             if check:
-                mesh = self.mesh(label)
-                own |= {"closed": closed_chain(mesh), "volume": volume(mesh)}
+                own["closed"] = closed_chain(self.mesh(label))
             found.append(own)
         return found
 
