@@ -78,6 +78,7 @@ def plan_voxelize(
     fill: str = "auto",
     gap: int = 0,
     with_surface: bool = False,
+    connected: bool = False,
     window: Window | None = None,
     every_face: bool = False,
     device: Device | None = None,
@@ -93,6 +94,7 @@ def plan_voxelize(
         raise VoxtoolError(f"fill {fill!r} is unknown: choose one of {', '.join(FILLS)}")
     if with_surface and mode != "solid":
         raise VoxtoolError(f"mode {mode!r} is a surface already: drop with_surface")
+    check_connected(connected, mode, with_surface, window)
     if gap and fill != "flood":
         raise VoxtoolError(f"gap {gap} goes with fill 'flood', not {fill!r}")
     if not 0 <= gap <= grid.dim:
@@ -102,7 +104,7 @@ def plan_voxelize(
         if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
-    job.every_face = every_face
+    job.every_face, job.connected = every_face, connected
     if fill == "auto" and mode == "solid":
         fill, gap = job.choose()
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
@@ -110,6 +112,29 @@ def plan_voxelize(
 
 
 voxelize = one_call(plan_voxelize, "voxelize", Octree)
+
+
+def check_connected(
+    connected: bool, mode: str, with_surface: bool, window: Window | None
+) -> None:
+    """Raise VoxtoolError if thin parts cannot be connected in a voxelization of this kind."""
+    if connected and mode != "solid":
+        raise VoxtoolError(f"connected goes with mode 'solid', not {mode!r}: drop it")
+    if connected and with_surface:
+        raise VoxtoolError("with_surface sets all voxels that connected chooses from: drop one")
+    if connected and window is not None:
+        raise VoxtoolError("connected takes the whole grid: drop the window")
+
+
+def about_connected(octree: Octree) -> list[str]:
+    """Return a line about the voxels that connect the thin parts of an octree, if they were asked
+    for."""
+    facts = octree.plan.get("connected")
+    if not isinstance(facts, dict):
+        return []
+    added, pieces, became = (facts[name] for name in ("added", "pieces", "became"))
+    voxels = count_of(added, "voxel") if added else "no voxel"
+    return [f"{voxels} added: {count_of(pieces, 'piece')} became {became:,}"]
 
 
 @once
@@ -155,6 +180,7 @@ class VoxelizeJob(Job[Octree]):
     chosen: bool = False
     choice: Choice | None = None
     every_face: bool = False  # also those that repeat others
+    connected: bool = False  # thin parts stay in one piece
     surface_found: Callable[[Scan, ActiveNodes, Array], None] | None = None  # receives a surface
     _crowded: bool = False  # known once it has run
 
@@ -199,6 +225,7 @@ class VoxelizeJob(Job[Octree]):
         flooded = self._flooded[1] if fill == "flood" else None
         request |= {"holes": holes, "caps": faces, "flooded": flooded}
         request["choice"] = self.choice.why if self.choice else ""
+        request["connected"] = self.connected
         plan = plan_of(survey, self.grid.shape, **request)
         self.plan = plan.in_slabs(self.limit, self.device.info.max_allocation)
 
@@ -317,7 +344,14 @@ class VoxelizeJob(Job[Octree]):
         if plan.surface:
             with self.stage(f"surface{plan.surface}"):
                 filled.unite(scan.surface(active))
-        return self._read(filled, touched)
+        octree = self._read(filled, touched)
+        if plan.connects:
+            from voxtool.svo.connected.connect import connect
+
+            del filled
+            with self.stage("connect"):
+                return connect(octree, scan, active, self.limit)
+        return octree
 
     def _flood(self) -> Octree:
         """Return the octree of everything that the outside cannot reach through the surface."""
@@ -360,7 +394,11 @@ class VoxelizeJob(Job[Octree]):
         return Octree(self.grid, mode, rule, *arrays, scene, *origin)
 
     def notes(self, octree: Octree) -> list[str]:
-        """Return lines about the fill rule chosen for an open mesh; they are not warnings."""
+        """Return lines about the fill rule chosen for an open mesh, and about the voxels that
+        connect thin parts; they are not warnings."""
+        return [*self._about_fill(octree), *about_connected(octree)]
+
+    def _about_fill(self, octree: Octree) -> list[str]:
         rule = self.choice.fill if self.choice else "winding"
         if not self.chosen or self.watertight or not octree.fill.startswith(rule):
             return []
@@ -401,8 +439,8 @@ class VoxelizeJob(Job[Octree]):
             return "it is flat and encloses nothing: choose fill flood, or mode surface26"
         if self.plan.solid:
             return (
-                "no voxel's centre is inside it: choose smaller voxels, mode surface26, or "
-                "with_surface"
+                "no voxel's centre is inside it: choose smaller voxels, mode surface26, "
+                "connected, or with_surface"
             )
         return "its faces reach no voxel of the grid"
 

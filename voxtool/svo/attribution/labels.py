@@ -159,6 +159,7 @@ def plan_labels(
     fill: str = "auto",
     gap: int = 0,
     with_surface: bool = False,
+    connected: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> PartLabelsJob:
@@ -173,6 +174,7 @@ def plan_labels(
     fixed = grid.to_fixed(own.points)
     alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
     request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
+    request["connected"] = connected
     options: dict[str, Any] = {"device": device, "max_memory": max_memory}
     jobs = []
     rule = {**request, "fill": "parity" if fill == "auto" else fill}

@@ -1,0 +1,237 @@
+"""The thin parts of a solid: where voxels that touch its mesh may join it.
+
+A solid S holds the voxels whose centres are inside. The others that touch a triangle, D, are its
+skin, within one voxel of a block of 2 x 2 x 2 set voxels, or lie along a part that is thinner than
+two voxels. Skin is left out, unless S has several components within two voxels of it. The rest, with
+the skin beside it, are the candidates. A component of them is kept if it reaches farther than REACH
+voxels from the skin, in steps through it and the voxels of S beside it; or if it touches no
+component of S, or several. So tips of solids are left as they are, and no connection is lost.
+docs/voxels.md has the proof. On the host.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from voxtool.memory import check_memory
+from voxtool.mesh.topology import components
+from voxtool.morton import among, distinct, morton_decode, morton_encode
+from voxtool.svo.components import FEWER, Components
+from voxtool.svo.connected.neighbourhoods import CENTRE
+from voxtool.svo.connected.thinning import HOST_BYTES, neighbours_among
+from voxtool.svo.layout import BRICK, BRICK_SIDE, BRICK_VOXELS, unpack_bricks
+from voxtool.svo.prune import ALL_VOXELS
+from voxtool.svo.thin import labels_at, with_neighbours
+from voxtool.svo.tiling import BRICKS, LEVEL, TILE, Tiling
+
+REACH = 4  # voxels from the skin of what is thick, beyond which a part is thin
+AROUND = 2  # voxels about a brick that decide what is thick in it, and which components are near
+AT_ONCE = 1 << 13  # bricks
+BITS = np.uint64(1) << np.arange(64, dtype=np.uint64)
+
+
+@dataclass(frozen=True)
+class Bricks:
+    """A set of voxels, as ascending Morton codes of bricks and their masks, (n,) uint64 each."""
+
+    codes: np.ndarray
+    masks: np.ndarray
+
+    def where(self, masks: np.ndarray) -> np.ndarray:
+        """Return the ascending Morton codes of the voxels of other masks of these bricks."""
+        brick, bit = np.nonzero((masks[:, None] & BITS) != 0)
+        return (self.codes[brick] << np.uint64(6)) | bit.astype(np.uint64)
+
+    def has(self, voxels: np.ndarray) -> np.ndarray:
+        """Return which voxels, given by Morton codes, are in the set, (n,) bool."""
+        bricks = voxels >> np.uint64(6)
+        place = np.minimum(np.searchsorted(self.codes, bricks), len(self.codes) - 1)
+        bits = np.uint64(1) << (voxels & np.uint64(63))
+        return (self.codes[place] == bricks) & ((self.masks[place] & bits) != 0)
+
+
+@dataclass(frozen=True)
+class ThinParts:
+    """The candidates about the thin parts of a solid, with the voxels of the solid beside them.
+
+    codes : (n,) uint64
+        Ascending Morton codes, in the frame.
+    added : (n,) bool
+        Which of them are candidates.
+    covered : (n,) bool
+        Which of these are more than skin.
+    subfields : (m,) int64
+        Of each candidate, as thinning takes them; the same wherever the mesh is moved by whole
+        voxels.
+    """
+
+    codes: np.ndarray
+    added: np.ndarray
+    covered: np.ndarray
+    subfields: np.ndarray
+
+
+class Solid:
+    """A solid, in a frame around its grid, and its components."""
+
+    def __init__(self, voxels: Tiling) -> None:
+        self.voxels, self.found = voxels, Components.of(voxels, 26)
+
+    @property
+    def pieces(self) -> int:
+        """The number of components."""
+        return len(self.found.sizes)
+
+    def masks_of(self, bricks: np.ndarray) -> np.ndarray:
+        """Return the masks of bricks, given by their Morton codes."""
+        tiles = bricks >> np.uint64(3 * LEVEL)
+        masks = np.zeros(len(bricks), BRICK)
+        if len(self.voxels.codes):
+            place = np.minimum(
+                np.searchsorted(self.voxels.codes, tiles), len(self.voxels.codes) - 1
+            )
+            inner = (bricks & np.uint64(BRICKS - 1)).astype(np.int64)
+            held = self.voxels.codes[place] == tiles
+            masks[held] = self.voxels.bricks[place[held], inner[held]]
+        masks[self.voxels.is_full(tiles)] = ALL_VOXELS
+        return masks
+
+    def has(self, voxels: np.ndarray) -> np.ndarray:
+        """Return which voxels, given by Morton codes, are set, (n,) bool."""
+        bits = np.uint64(1) << (voxels & np.uint64(63))
+        return (self.masks_of(voxels >> np.uint64(6)) & bits) != 0
+
+    def labels_of(self, voxels: np.ndarray) -> np.ndarray:
+        """Return the component, from 1 on, of voxels, given by Morton codes, (n,) int64; 0 of unset
+        ones."""
+        if not self.pieces:
+            return np.zeros(len(voxels), np.int64)
+        return labels_at(self.found, voxels).astype(np.int64)
+
+    def near_thick(self, bricks: np.ndarray) -> np.ndarray:
+        """Return the voxels of bricks that lie within one voxel of 2 x 2 x 2 set ones, as masks."""
+        found = [np.empty(0, BRICK)]
+        for some, _ in _blocks(bricks):
+            filled = np.empty((len(some), *[BRICK_SIDE + 2 * AROUND] * 3), bool)
+            cells = morton_decode(some)
+            for step, target, source in _pieces_of_window():
+                masks = self.masks_of(morton_encode(cells + step))
+                filled[:, *target] = unpack_bricks(masks)[:, *source]
+            blocks = _folded(filled, 2, np.logical_and)
+            thick = _folded(blocks, 2, np.logical_or)
+            found.append(_packed(_folded(thick, 3, np.logical_or)))
+        return np.concatenate(found)
+
+    def near_several(self, bricks: np.ndarray) -> np.ndarray:
+        """Return the voxels of bricks that lie within two voxels of several components, as
+        masks."""
+        found = np.zeros(len(bricks), BRICK)
+        if self.pieces < 2:
+            return found
+        window = np.indices([BRICK_SIDE + 2 * AROUND] * 3).reshape(3, -1).T - AROUND
+        for some, where in _blocks(bricks):
+            cells = BRICK_SIDE * morton_decode(some)
+            labels = self.labels_of(morton_encode((cells[:, None] + window).reshape(-1, 3)))
+            labels = labels.reshape(-1, *[BRICK_SIDE + 2 * AROUND] * 3)
+            most = _folded(labels, 5, np.maximum)
+            least = _folded(np.where(labels > 0, labels, self.pieces + 1), 5, np.minimum)
+            found[where] = _packed(least < most)
+        return found
+
+
+def find_thin_parts(solid: Solid, surface: Bricks, max_memory: int) -> ThinParts:
+    """Return the candidates of a solid, given the voxels that its mesh touches, in the frame."""
+    unset = surface.masks & ~solid.masks_of(surface.codes)
+    outer = Bricks(surface.codes[unset != 0], unset[unset != 0])
+    skin = outer.masks & solid.near_thick(outer.codes) & ~solid.near_several(outer.codes)
+    covered = outer.where(outer.masks & ~skin)
+    check(len(covered), max_memory)
+    side = TILE * solid.voxels.side
+    if not len(covered):
+        return ThinParts(covered, *[np.empty(0, bool)] * 2, np.empty(0, np.int64))
+    around = with_neighbours(covered, 26, side)
+    candidates = around[outer.has(around)]
+    check(len(candidates), max_memory)
+    around = with_neighbours(candidates, 26, side)
+    codes = around[solid.has(around) | among(candidates, around)]
+    added = among(candidates, codes)
+    component, kept = _kept(solid, codes, added)
+    cells = morton_decode(codes[kept])
+    corners = np.full((len(codes), 3), side)
+    np.minimum.at(corners, component[kept], cells)
+    subfields = (cells - corners[component[kept]]) % 3 @ np.array([1, 3, 9])
+    beside = neighbours_among(codes, kept).ravel()
+    used = np.zeros(len(codes) + 1, bool)
+    used[beside], used[:-1][added] = True, False
+    used[kept] = True
+    chosen = used[:-1]
+    added[~chosen] = False
+    return ThinParts(codes[chosen], added[chosen], among(covered, codes[chosen]), subfields)
+
+
+def check(candidates: int, max_memory: int) -> None:
+    """Raise MemoryLimitError if so many candidates do not fit in memory."""
+    what = f"{candidates:,} voxels that touch thin parts, to connect them,"
+    check_memory(HOST_BYTES * candidates, what, FEWER, max_memory)
+
+
+def _kept(solid: Solid, codes: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the component of each candidate, by the number of its first voxel, (n,) int64, and the
+    candidates of the components that are kept."""
+    rows = np.flatnonzero(added)
+    beside = neighbours_among(codes, np.arange(len(codes)))
+    own = np.append(added, False)
+    pairs = [(rows[own[near]], near[own[near]]) for near in beside[:CENTRE, rows]]
+    u, v = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    component = components(u, v, len(codes))
+
+    bricks = distinct(codes >> np.uint64(6))
+    reached = np.append(Bricks(bricks, solid.near_thick(bricks)).has(codes), False)
+    for _ in range(REACH - 1):
+        reached[:-1] = reached[beside].any(axis=0)
+    chosen = np.zeros(len(codes), bool)
+    chosen[component[rows[~reached[rows]]]] = True
+
+    labels = np.append(solid.labels_of(codes), 0)
+    ends = component[rows] * (solid.pieces + 1)
+    touched = distinct(np.concatenate([distinct(ends + labels[near]) for near in beside[:, rows]]))
+    touched = touched[touched % (solid.pieces + 1) > 0]
+    chosen |= np.bincount(touched // (solid.pieces + 1), minlength=len(codes)) != 1
+    return component, rows[chosen[component[rows]]]
+
+
+def _blocks(bricks: np.ndarray) -> Iterator[tuple[np.ndarray, slice]]:
+    """Yield bricks, AT_ONCE at a time, and where they are."""
+    for start in range(0, len(bricks), AT_ONCE):
+        where = slice(start, start + AT_ONCE)
+        yield bricks[where], where
+
+
+def _pieces_of_window() -> Iterator[tuple[tuple[int, ...], tuple, tuple]]:
+    """Yield the steps to a brick and its neighbours; where each lies in a window of voxels about
+    the brick; and which of its voxels."""
+    inner = {-1: slice(0, AROUND), 0: slice(AROUND, -AROUND), 1: slice(-AROUND, None)}
+    part = {-1: slice(-AROUND, None), 0: slice(None), 1: slice(0, AROUND)}
+    for step in product((-1, 0, 1), repeat=3):
+        yield step, tuple(inner[s] for s in step), tuple(part[s] for s in step)
+
+
+def _folded(dense: np.ndarray, width: int, fold: np.ufunc) -> np.ndarray:
+    """Return what `fold` makes of each cube of `width` voxels in (n, a, a, a) windows."""
+    for axis in (1, 2, 3):
+        size = dense.shape[axis] - width + 1
+        parts = [np.take(dense, range(i, i + size), axis) for i in range(width)]
+        dense = parts[0]
+        for part in parts[1:]:
+            dense = fold(dense, part)
+    return dense
+
+
+def _packed(dense: np.ndarray) -> np.ndarray:
+    """Return the masks of (n, 4, 4, 4) voxels."""
+    x, y, z = BRICK_VOXELS.T
+    return np.packbits(dense[:, x, y, z].ravel(), bitorder="little").view(BRICK)
