@@ -283,7 +283,7 @@ class VoxelizePlan:
         if self.choice:
             rows.append(("chosen", self.choice))
         if self.connects:
-            rows.append(("connected", "thin parts get voxels that touch the mesh, where they break"))
+            rows.append(("connected", "parts thinner than two voxels stay in one piece"))
         size = human(self.cost.host)
         rows.append(("octree", f"about {self.bricks:,} bricks, {self.nodes:,} nodes, {size}"))
         rows.append(("work", f"about {self.work:,} voxels and crossings visited"))

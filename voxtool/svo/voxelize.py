@@ -65,6 +65,7 @@ from voxtool.svo.scan import ActiveNodes, Scan, add_nodes, find_active_nodes
 
 if TYPE_CHECKING:
     from voxtool.svo.choosing import Choice
+    from voxtool.svo.connected.thin_parts import Bricks
 
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
@@ -114,9 +115,7 @@ def plan_voxelize(
 voxelize = one_call(plan_voxelize, "voxelize", Octree)
 
 
-def check_connected(
-    connected: bool, mode: str, with_surface: bool, window: Window | None
-) -> None:
+def check_connected(connected: bool, mode: str, with_surface: bool, window: Window | None) -> None:
     """Raise VoxtoolError if thin parts cannot be connected in a voxelization of this kind."""
     if connected and mode != "solid":
         raise VoxtoolError(f"connected goes with mode 'solid', not {mode!r}: drop it")
@@ -181,6 +180,8 @@ class VoxelizeJob(Job[Octree]):
     choice: Choice | None = None
     every_face: bool = False  # also those that repeat others
     connected: bool = False  # thin parts stay in one piece
+    one_part: bool = False  # each connected part of the inside lies far from the others
+    added: Bricks | None = None  # known once it has run: voxels that connect thin parts
     surface_found: Callable[[Scan, ActiveNodes, Array], None] | None = None  # receives a surface
     _crowded: bool = False  # known once it has run
 
@@ -248,6 +249,13 @@ class VoxelizeJob(Job[Octree]):
     def _flooded(self) -> Window:
         """The part of the grid that is flooded."""
         return (0, 0, 0), self._whole.shape
+
+    @property
+    def mesh_of_faces(self) -> Mesh:
+        """The mesh of the faces that are voxelized."""
+        mesh, some = self.mesh, self._faces
+        faces = mesh.faces if some is None else mesh.faces[some]
+        return Mesh(mesh.vertices, faces, mesh.source_sha256, mesh.name, mesh.units, mesh.transform)
 
     def _place(self, some: np.ndarray | None, fill: str) -> Survey:
         """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
@@ -350,7 +358,7 @@ class VoxelizeJob(Job[Octree]):
 
             del filled
             with self.stage("connect"):
-                return connect(octree, scan, active, self.limit)
+                return connect(self, octree, scan, active)
         return octree
 
     def _flood(self) -> Octree:

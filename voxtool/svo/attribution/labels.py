@@ -171,25 +171,42 @@ def plan_labels(
     ranks = ranks_of(parts.names, priority)
     device = device or default_device()
     own = PartMesh.of_mesh(mesh, parts.labels)
-    fixed = grid.to_fixed(own.points)
-    alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
-    request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
-    request["connected"] = connected
-    options: dict[str, Any] = {"device": device, "max_memory": max_memory}
-    jobs = []
-    rule = {**request, "fill": "parity" if fill == "auto" else fill}
-    atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
-    if atlas:
-        together = atlas.mesh(fixed, own.faces, own.of)
-        jobs.append(plan_voxelize(together, atlas.grid, mode, **rule, **options))
-    jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, **request, **options)
-             for part in alone]  # fmt: skip
+    request: dict[str, Any] = {"gap": gap, "with_surface": with_surface, "connected": connected}
+    request |= {"device": device, "max_memory": max_memory}
+    alone, atlas, jobs = plan_parts(mesh, own, grid, mode, fill, fill, **request)
     dtype = dtype_of_labels(len(parts.names))
     plan = PartLabelsPlan(
         mode + "+surface26" * with_surface, parts.names, len(atlas.parts) if atlas else 0,
         tuple(alone.items()), dtype, atlas.side if atlas else 0, tuple(job.plan for job in jobs),
     )  # fmt: skip
     return PartLabelsJob(mesh, grid, own, ranks, atlas, jobs, plan, device, max_memory)
+
+
+def plan_parts(
+    mesh: Mesh,
+    own: PartMesh,
+    grid: Grid,
+    mode: str,
+    fill: str,
+    closed_fill: str,
+    gap: int = 0,
+    **request: Any,
+) -> tuple[dict[int, str], Atlas | None, list[VoxelizeJob]]:
+    """Return the parts of a mesh that are voxelized alone, with the reasons; where the others lie,
+    which are closed; and the jobs, that of the others first if there are any. `request` as for
+    plan_voxelize."""
+    fixed = grid.to_fixed(own.points)
+    alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
+    request["gap"] = gap
+    jobs = []
+    atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
+    if atlas:
+        together = atlas.mesh(fixed, own.faces, own.of)
+        rule = "parity" if closed_fill == "auto" else closed_fill
+        jobs.append(plan_voxelize(together, atlas.grid, mode, fill=rule, **request))
+    jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, fill=fill, **request)
+             for part in alone]  # fmt: skip
+    return alone, atlas, jobs
 
 
 def dtype_of_labels(n: int) -> str:

@@ -3,7 +3,7 @@
 Set voxels are 26-connected, unset ones 6-connected. A set voxel is simple if removing it changes no
 component, tunnel or cavity of either: its set 26-neighbours are one component, and so are the unset
 voxels among its 18 neighbours that reach one of its faces [Bertrand 1994]. It separates if these
-unset voxels are more than one component: it lies inside a sheet.
+unset voxels are more than one component, as inside a sheet.
 
 Bit 13 is the voxel itself; bits count along x, then y, then z.
 """
@@ -17,11 +17,11 @@ import numpy as np
 
 STEPS = np.array([(x, y, z) for z, y, x in product((-1, 0, 1), repeat=3)])
 CENTRE = 13
-BEFORE = (np.uint32(1) << np.arange(27, dtype=np.uint32)).astype(np.uint32)
+BIT_OF = np.uint32(1) << np.arange(27, dtype=np.uint32)
 
 
 def _mask(chosen: np.ndarray) -> np.uint32:
-    return np.uint32(BEFORE[chosen].sum())
+    return np.uint32(BIT_OF[chosen].sum())
 
 
 _DISTANCE = np.abs(STEPS).sum(axis=1)

@@ -1,12 +1,13 @@
 """The thin parts of a solid: where voxels that touch its mesh may join it.
 
-A solid S holds the voxels whose centres are inside. The others that touch a triangle, D, are its
-skin, within one voxel of a block of 2 x 2 x 2 set voxels, or lie along a part that is thinner than
-two voxels. Skin is left out, unless S has several components within two voxels of it. The rest, with
-the skin beside it, are the candidates. A component of them is kept if it reaches farther than REACH
-voxels from the skin, in steps through it and the voxels of S beside it; or if it touches no
-component of S, or several. So tips of solids are left as they are, and no connection is lost.
-docs/voxels.md has the proof. On the host.
+A solid holds the voxels whose centres are inside. Other voxels that touch a triangle are skin if
+they lie within one voxel of a block of 2 x 2 x 2 set ones, and if all set voxels within two voxels
+of them are of one component. What is no skin, with the skin beside it, are the candidates.
+
+A component of the candidates is kept if it reaches farther than REACH voxels from such a block, in
+steps through it and the set voxels beside it; or if it touches no component of the solid, or
+several. So the tips of solids are left as they are, and no connection is lost: docs/voxels.md has
+the proof. On the host.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from voxtool.morton import among, distinct, morton_decode, morton_encode
 from voxtool.svo.components import FEWER, Components
 from voxtool.svo.connected.neighbourhoods import CENTRE
 from voxtool.svo.connected.thinning import HOST_BYTES, neighbours_among
-from voxtool.svo.layout import BRICK, BRICK_SIDE, BRICK_VOXELS, unpack_bricks
+from voxtool.svo.layout import BRICK, BRICK_SIDE, BRICK_VOXELS, unite_bricks, unpack_bricks
 from voxtool.svo.prune import ALL_VOXELS
 from voxtool.svo.thin import labels_at, with_neighbours
 from voxtool.svo.tiling import BRICKS, LEVEL, TILE, Tiling
@@ -40,6 +41,12 @@ class Bricks:
 
     codes: np.ndarray
     masks: np.ndarray
+
+    @classmethod
+    def of(cls, voxels: np.ndarray) -> Bricks:
+        """Return the set of voxels, given by ascending Morton codes."""
+        bits = np.uint64(1) << (voxels & np.uint64(63))
+        return cls(*unite_bricks(voxels >> np.uint64(6), bits))
 
     def where(self, masks: np.ndarray) -> np.ndarray:
         """Return the ascending Morton codes of the voxels of other masks of these bricks."""

@@ -1,10 +1,10 @@
 """Thinning of a set of voxels whose topology, ends and sheets stay [Bertrand 1994, Bertrand 2015].
 
-Voxels go one after the other, those of the least weight first. One may go if it is simple, if it
-has never separated unset voxels about it, and if each covered voxel about it keeps a neighbour or
-stays. Voxels of one of 27 subfields, whose coordinates are equal modulo 3, have no common
-neighbour, so all of them that may go are removed at once: the result is that of one after the
-other. On the host, in whole numbers.
+Voxels go one after the other, those of the least weight first. One may go if it is simple; if it
+has never separated unset voxels, as those of a sheet do; and if each covered voxel about it stays,
+or shares a face or an edge with one that stays. Voxels of one of 27 subfields, whose coordinates
+are equal modulo 3, have no common neighbour, so all of them that may go are removed at once: that
+is as good as one after the other. On the host, in whole numbers.
 """
 
 from __future__ import annotations
@@ -12,9 +12,18 @@ from __future__ import annotations
 import numpy as np
 
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.svo.connected.neighbourhoods import BEFORE, CENTRE, STEPS, is_simple, separates
+from voxtool.svo.connected.neighbourhoods import (
+    BIT_OF,
+    CENTRE,
+    NEAR,
+    STEPS,
+    is_simple,
+    separates,
+)
 
 SUBFIELDS = 27
+COVERING = NEAR | BIT_OF[CENTRE]  # a covered voxel shares a face or an edge with one that stays
+ROWS = np.flatnonzero(BIT_OF & COVERING)
 HOST_BYTES = 400  # of a voxel, at peak
 
 
@@ -44,7 +53,8 @@ class Thinning:
     masks : (m + 1,) uint32
         Their neighbourhoods.
     covering : (n + 1,) int64
-        Set voxels among the 27 of each covered voxel; many of others.
+        Of each covered voxel: how many of it and those that share a face or an edge with it are
+        set; many of others.
     stays : (m,) bool
         Those that have separated.
     """
@@ -59,11 +69,11 @@ class Thinning:
         self.row_of[self.rows] = np.arange(m)
         self.beside = neighbours_among(codes, self.rows)
         self.masks = np.zeros(m + 1, np.uint32)
-        for bit, near in zip(BEFORE, self.beside, strict=True):
+        for bit, near in zip(BIT_OF, self.beside, strict=True):
             self.masks[:-1] |= np.where(self.present[near], bit, np.uint32(0))
         self.covering = np.full(n + 1, len(STEPS) * (n + 1))
         own = np.flatnonzero(covered[self.rows])
-        self.covering[self.rows[own]] = np.bitwise_count(self.masks[own])
+        self.covering[self.rows[own]] = np.bitwise_count(self.masks[own] & COVERING)
         self.stays = np.zeros(m, bool)
         self._changed = np.ones(m + 1, bool)
 
@@ -94,11 +104,12 @@ class Thinning:
     def _remove(self, rows: np.ndarray) -> np.ndarray:
         """Remove those of some rows of one subfield that may go, and return them."""
         rows = rows[is_simple(self.masks[rows])]
-        rows = rows[(self.covering[self.beside[:, rows]] > 1).all(axis=0)]
+        rows = rows[(self.covering[self.beside[np.ix_(ROWS, rows)]] > 1).all(axis=0)]
         self.present[self.rows[rows]] = False
         for number, near in enumerate(self.beside[:, rows]):
             touched = self.row_of[near]
-            self.masks[touched] &= ~BEFORE[2 * CENTRE - number]
+            self.masks[touched] &= ~BIT_OF[2 * CENTRE - number]
             self._changed[touched] = True
+        for near in self.beside[np.ix_(ROWS, rows)]:
             self.covering[near] -= 1
         return rows
