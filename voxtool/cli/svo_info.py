@@ -92,6 +92,8 @@ def labels(info: dict[str, Any], unit: str) -> Iterator[str]:
 
 def text_of(info: dict[str, Any]) -> Iterator[str]:
     """The lines of a summary."""
+    from voxtool.svo.connected.about import about_connected
+
     unit = f" {info['units']}" if info["units"] else ""
     size = " x ".join(map(str, info["shape"]))
     yield from table((
@@ -106,6 +108,7 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
         ("bytes", f"{info['bytes']:,} on the device ({info['bytes_with_x_pointers']:,} with "
          f"x-pointers){on_disk(info)}"),
         *merged(info),
+        *(("connected", line) for line in about_connected(info["plan"])),
         *attributes(info, unit),
         ("compression", f"{info['compression']:.1f} times smaller than a dense bit grid"),
     ))  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.job import Cost
+from voxtool.svo.connected.about import CONNECTED, RULE
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
 LINK_BYTES = 10  # of a node whose flips are propagated: its neighbours along x, and its flips
@@ -245,7 +246,7 @@ class VoxelizePlan:
             "fill": self.rule,
             **({"choice": self.choice} if self.choice else {}),
             **({"holes": self.holes, "cap_triangles": self.caps} if self.fill == "winding" else {}),
-            **({"connected": True} if self.connected else {}),
+            **({CONNECTED: True} if self.connects else {}),
             "triangles": self.survey.triangles - self.caps,
             "triangles_outside": self.survey.outside,
             "largest_extent_voxels": self.survey.extent,
@@ -283,7 +284,7 @@ class VoxelizePlan:
         if self.choice:
             rows.append(("chosen", self.choice))
         if self.connects:
-            rows.append(("connected", "parts thinner than two voxels stay in one piece"))
+            rows.append((CONNECTED, RULE))
         size = human(self.cost.host)
         rows.append(("octree", f"about {self.bricks:,} bricks, {self.nodes:,} nodes, {size}"))
         rows.append(("work", f"about {self.work:,} voxels and crossings visited"))

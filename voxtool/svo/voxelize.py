@@ -41,6 +41,7 @@ from voxtool.opencl.primitives import COMPACTION, RADIX_SORT
 from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
+from voxtool.svo.connected.about import about_connected, check_connected
 from voxtool.svo.consistency import consistent
 from voxtool.svo.fill.caps import Boundary, find_boundary
 from voxtool.svo.fill.levels import SOURCE as LEVELS
@@ -113,27 +114,6 @@ def plan_voxelize(
 
 
 voxelize = one_call(plan_voxelize, "voxelize", Octree)
-
-
-def check_connected(connected: bool, mode: str, with_surface: bool, window: Window | None) -> None:
-    """Raise VoxtoolError if thin parts cannot be connected in a voxelization of this kind."""
-    if connected and mode != "solid":
-        raise VoxtoolError(f"connected goes with mode 'solid', not {mode!r}: drop it")
-    if connected and with_surface:
-        raise VoxtoolError("with_surface sets all voxels that connected chooses from: drop one")
-    if connected and window is not None:
-        raise VoxtoolError("connected takes the whole grid: drop the window")
-
-
-def about_connected(octree: Octree) -> list[str]:
-    """Return a line about the voxels that connect the thin parts of an octree, if they were asked
-    for."""
-    facts = octree.plan.get("connected")
-    if not isinstance(facts, dict):
-        return []
-    added, pieces, became = (facts[name] for name in ("added", "pieces", "became"))
-    voxels = count_of(added, "voxel") if added else "no voxel"
-    return [f"{voxels} added: {count_of(pieces, 'piece')} became {became:,}"]
 
 
 @once
@@ -404,7 +384,7 @@ class VoxelizeJob(Job[Octree]):
     def notes(self, octree: Octree) -> list[str]:
         """Return lines about the fill rule chosen for an open mesh, and about the voxels that
         connect thin parts; they are not warnings."""
-        return [*self._about_fill(octree), *about_connected(octree)]
+        return [*self._about_fill(octree), *about_connected(octree.plan)]
 
     def _about_fill(self, octree: Octree) -> list[str]:
         rule = self.choice.fill if self.choice else "winding"

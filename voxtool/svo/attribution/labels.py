@@ -31,6 +31,7 @@ from voxtool.svo.attribution import pieces
 from voxtool.svo.attribution.atlas import Atlas
 from voxtool.svo.attribution.paint import Nodes, Union, painted, unite
 from voxtool.svo.attribution.parts import PartMesh, parts_of, ranks_of
+from voxtool.svo.connected.about import CONNECTED, RULE, about_connected, united
 from voxtool.svo.layout import BRICK_VOXELS
 from voxtool.svo.octree import Octree
 from voxtool.svo.scan import SEPARATING, TOUCHED, Scan, add_nodes
@@ -64,6 +65,11 @@ class PartLabelsPlan:
     @property
     def surface(self) -> bool:
         return "surface" in self.mode and "solid" not in self.mode
+
+    @property
+    def connects(self) -> bool:
+        """True if voxels may be added to connect thin parts."""
+        return any(getattr(plan, "connects", False) for plan in self.inner)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -108,7 +114,8 @@ class PartLabelsPlan:
 
     def scene(self) -> dict[str, Any]:
         """The part of the plan that is stored with the octree, in JSON types."""
-        return {"labels": len(self.names), "stages": list(self.stages)}
+        more = {CONNECTED: True} if self.connects else {}
+        return {"labels": len(self.names), **more, "stages": list(self.stages)}
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
@@ -136,7 +143,7 @@ class PartLabelsPlan:
         for _, why in self.alone:
             reasons[why] = reasons.get(why, 0) + 1
         rows += [("alone", f"{count_of(n, 'part')}: {why}") for why, n in reasons.items()]
-        return rows
+        return [*rows, *[(CONNECTED, f"{RULE}, each by itself")] * self.connects]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if a voxelization or the union needs more bytes."""
@@ -287,7 +294,10 @@ class PartLabelsJob(Job[Octree]):
         if self.plan.surface:
             with self.stage(AREAS):
                 self._decide_by_area(union, values)
-        return self._octree(union, values, leaves, {octree.fill for octree in octrees})
+        octree = self._octree(union, values, leaves, {octree.fill for octree in octrees})
+        if facts := united(one.plan for one in octrees):
+            octree = replace(octree, plan={**octree.plan, CONNECTED: facts})
+        return octree
 
     def _voxelized(self) -> list[Octree]:
         """Return the octrees of the jobs; what a job would warn of, this one says of its part."""
@@ -355,6 +365,10 @@ class PartLabelsJob(Job[Octree]):
         described = {"source_sha256": mesh.source_sha256, "units": mesh.units}
         described |= {"transform": mesh.transform, "plan": self.plan.scene()}
         return replace(octree, attributes=(label,), **described)
+
+    def notes(self, result: Octree) -> list[str]:
+        """Return a line about the voxels that connect thin parts."""
+        return about_connected(result.plan)
 
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield a warning if parts set no voxel."""

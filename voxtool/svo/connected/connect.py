@@ -19,6 +19,7 @@ from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.attribution.labels import plan_parts
 from voxtool.svo.attribution.parts import PartMesh
 from voxtool.svo.attribution.pieces import list_pieces
+from voxtool.svo.connected.about import CONNECTED
 from voxtool.svo.connected.parts import Shells
 from voxtool.svo.connected.thin_parts import Bricks, Solid, find_thin_parts
 from voxtool.svo.connected.thinning import Thinning
@@ -62,7 +63,7 @@ def connect(job: VoxelizeJob, octree: Octree, scan: Scan, active: ActiveNodes) -
         became = Solid(Tiling.of(octree, 0)).pieces
     count = int(np.bitwise_count(masks).sum())
     facts = {"added": count, "pieces": pieces, "became": became}
-    return replace(octree, plan={**octree.plan, "connected": facts})
+    return replace(octree, plan={**octree.plan, CONNECTED: facts})
 
 
 def _added(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from itertools import product
 
 import numpy as np
@@ -159,7 +160,8 @@ def find_thin_parts(solid: Solid, surface: Bricks, max_memory: int) -> ThinParts
     check(len(covered), max_memory)
     side = TILE * solid.voxels.side
     if not len(covered):
-        return ThinParts(covered, *[np.empty(0, bool)] * 2, np.empty(0, np.int64))
+        none = np.empty(0, bool)
+        return ThinParts(covered, none, none, np.empty(0, np.int64))
     around = with_neighbours(covered, 26, side)
     candidates = around[outer.has(around)]
     check(len(candidates), max_memory)
@@ -230,11 +232,10 @@ def _pieces_of_window() -> Iterator[tuple[tuple[int, ...], tuple, tuple]]:
 def _folded(dense: np.ndarray, width: int, fold: np.ufunc) -> np.ndarray:
     """Return what `fold` makes of each cube of `width` voxels in (n, a, a, a) windows."""
     for axis in (1, 2, 3):
-        size = dense.shape[axis] - width + 1
-        parts = [np.take(dense, range(i, i + size), axis) for i in range(width)]
-        dense = parts[0]
-        for part in parts[1:]:
-            dense = fold(dense, part)
+        moved = np.moveaxis(dense, axis, 0)
+        size = len(moved) - width + 1
+        folded = reduce(fold, (moved[i : i + size] for i in range(width)))
+        dense = np.moveaxis(folded, 0, axis)
     return dense
 
 
