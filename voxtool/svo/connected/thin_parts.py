@@ -94,18 +94,19 @@ class Solid:
         """The number of components."""
         return len(self.found.sizes)
 
+    def _mixed(self, bricks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return which bricks lie in mixed tiles, (n,) bool; where those are among the bricks of
+        these; and the tiles of all."""
+        codes, tiles = self.voxels.codes, bricks >> np.uint64(3 * LEVEL)
+        held = among(codes, tiles)
+        inner = (bricks[held] & np.uint64(BRICKS - 1)).astype(np.int64)
+        return held, BRICKS * np.searchsorted(codes, tiles[held]) + inner, tiles
+
     def masks_of(self, bricks: np.ndarray) -> np.ndarray:
         """Return the masks of bricks, given by their Morton codes."""
-        tiles = bricks >> np.uint64(3 * LEVEL)
-        masks = np.zeros(len(bricks), BRICK)
-        if len(self.voxels.codes):
-            place = np.minimum(
-                np.searchsorted(self.voxels.codes, tiles), len(self.voxels.codes) - 1
-            )
-            inner = (bricks & np.uint64(BRICKS - 1)).astype(np.int64)
-            held = self.voxels.codes[place] == tiles
-            masks[held] = self.voxels.bricks[place[held], inner[held]]
-        masks[self.voxels.is_full(tiles)] = ALL_VOXELS
+        held, places, tiles = self._mixed(bricks)
+        masks = np.where(self.voxels.is_full(tiles), ALL_VOXELS, np.uint64(0))
+        masks[held] = self.voxels.bricks.ravel()[places]
         return masks
 
     def has(self, voxels: np.ndarray) -> np.ndarray:
@@ -141,14 +142,33 @@ class Solid:
         if self.pieces < 2:
             return found
         window = np.indices([BRICK_SIDE + 2 * AROUND] * 3).reshape(3, -1).T - AROUND
-        for some, where in _blocks(bricks):
+        chosen = np.flatnonzero(self._among_several(bricks))
+        for some, where in _blocks(bricks[chosen]):
             cells = BRICK_SIDE * morton_decode(some)
             labels = self.labels_of(morton_encode((cells[:, None] + window).reshape(-1, 3)))
             labels = labels.reshape(-1, *[BRICK_SIDE + 2 * AROUND] * 3)
             most = _folded(labels, 5, np.maximum)
             least = _folded(np.where(labels > 0, labels, self.pieces + 1), 5, np.minimum)
-            found[where] = _packed(least < most)
+            found[chosen[where]] = _packed(least < most)
         return found
+
+    def _among_several(self, bricks: np.ndarray) -> np.ndarray:
+        """Return which bricks and their neighbours have voxels of several components, (n,) bool."""
+        pieces, of = self.found.pieces, self.found.of_pieces
+        low, high = np.full((2, self.voxels.bricks.size), [[len(of)], [-1]])
+        np.minimum.at(low, pieces.owners, of[pieces.leaves :])
+        np.maximum.at(high, pieces.owners, of[pieces.leaves :])
+        least, most = np.full((2, len(bricks)), [[len(of)], [-1]])
+        cells = morton_decode(bricks)
+        for step in product((-1, 0, 1), repeat=3):
+            held, places, tiles = self._mixed(morton_encode(cells + step))
+            least[held] = np.minimum(least[held], low[places])
+            most[held] = np.maximum(most[held], high[places])
+            leaf = pieces.leaf_of(morton_decode(tiles), 0)
+            full = leaf >= 0
+            least[full] = np.minimum(least[full], of[leaf[full]])
+            most[full] = np.maximum(most[full], of[leaf[full]])
+        return least < most
 
 
 def find_thin_parts(solid: Solid, surface: Bricks, max_memory: int) -> ThinParts:
