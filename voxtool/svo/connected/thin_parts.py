@@ -72,6 +72,8 @@ class ThinParts:
         Which of them are candidates.
     covered : (n,) bool
         Which of these are more than skin.
+    beside : (27, m) int32
+        Where the neighbours of each candidate are among the codes; n for those that are not.
     subfields : (m,) int64
         Of each candidate, as thinning takes them; the same wherever the mesh is moved by whole
         voxels.
@@ -80,6 +82,7 @@ class ThinParts:
     codes: np.ndarray
     added: np.ndarray
     covered: np.ndarray
+    beside: np.ndarray
     subfields: np.ndarray
 
 
@@ -175,31 +178,34 @@ def find_thin_parts(solid: Solid, surface: Bricks, max_memory: int) -> ThinParts
     """Return the candidates of a solid, given the voxels that its mesh touches, in the frame."""
     unset = surface.masks & ~solid.masks_of(surface.codes)
     outer = Bricks(surface.codes[unset != 0], unset[unset != 0])
-    skin = outer.masks & solid.near_thick(outer.codes) & ~solid.near_several(outer.codes)
+    skin = outer.masks & solid.near_thick(outer.codes)
+    some = skin != 0
+    skin[some] &= ~solid.near_several(outer.codes[some])
     covered = outer.where(outer.masks & ~skin)
     check(len(covered), max_memory)
     side = TILE * solid.voxels.side
-    if not len(covered):
-        none = np.empty(0, bool)
-        return ThinParts(covered, none, none, np.empty(0, np.int64))
     around = with_neighbours(covered, 26, side)
-    candidates = around[outer.has(around)]
+    candidates = around[outer.has(around)] if len(covered) else covered
     check(len(candidates), max_memory)
     around = with_neighbours(candidates, 26, side)
     codes = around[solid.has(around) | among(candidates, around)]
     added = among(candidates, codes)
-    component, kept = _kept(solid, codes, added)
+    beside = neighbours_among(codes)
+    component, kept = _kept(solid, codes, added, beside)
+
+    used = np.zeros(len(codes) + 1, bool)
+    used[beside[:, kept]] = True
+    used &= ~np.append(added, True)
+    used[kept] = True
+    chosen = np.flatnonzero(used)
+    place = np.full(len(used), len(chosen), np.int32)
+    place[chosen] = np.arange(len(chosen))
     cells = morton_decode(codes[kept])
     corners = np.full((len(codes), 3), side)
     np.minimum.at(corners, component[kept], cells)
     subfields = (cells - corners[component[kept]]) % 3 @ np.array([1, 3, 9])
-    beside = neighbours_among(codes, kept).ravel()
-    used = np.zeros(len(codes) + 1, bool)
-    used[beside], used[:-1][added] = True, False
-    used[kept] = True
-    chosen = used[:-1]
-    added[~chosen] = False
-    return ThinParts(codes[chosen], added[chosen], among(covered, codes[chosen]), subfields)
+    codes, added = codes[chosen], added[chosen]
+    return ThinParts(codes, added, among(covered, codes), place[beside[:, kept]], subfields)
 
 
 def check(candidates: int, max_memory: int) -> None:
@@ -208,11 +214,12 @@ def check(candidates: int, max_memory: int) -> None:
     check_memory(HOST_BYTES * candidates, what, FEWER, max_memory)
 
 
-def _kept(solid: Solid, codes: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _kept(
+    solid: Solid, codes: np.ndarray, added: np.ndarray, beside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the component of each candidate, by the number of its first voxel, (n,) int64, and the
     candidates of the components that are kept."""
     rows = np.flatnonzero(added)
-    beside = neighbours_among(codes, np.arange(len(codes)))
     own = np.append(added, False)
     pairs = [(rows[own[near]], near[own[near]]) for near in beside[:CENTRE, rows]]
     u, v = (np.concatenate(ends) for ends in zip(*pairs, strict=True))

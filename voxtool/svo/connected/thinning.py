@@ -24,18 +24,21 @@ from voxtool.svo.connected.neighbourhoods import (
 SUBFIELDS = 27
 COVERING = NEAR | BIT_OF[CENTRE]  # a covered voxel shares a face or an edge with one that stays
 ROWS = np.flatnonzero(BIT_OF & COVERING)
-HOST_BYTES = 400  # of a voxel, at peak
+HOST_BYTES = 800  # of a voxel, at peak
 
 
-def neighbours_among(codes: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return where the 27 neighbours of chosen voxels are among ascending Morton codes, (27, n)
-    int32, in the order of STEPS; len(codes) for those that are not."""
-    cells = morton_decode(codes[chosen])
-    found = np.empty((len(STEPS), len(chosen)), np.int32)
-    for row, step in enumerate(STEPS):
-        near = morton_encode(cells + step)
-        place = np.minimum(np.searchsorted(codes, near), len(codes) - 1)
-        found[row] = np.where(codes[place] == near, place, len(codes))
+def neighbours_among(codes: np.ndarray) -> np.ndarray:
+    """Return where the 27 neighbours of voxels are among them, (27, n) int32, in the order of
+    STEPS, given their ascending Morton codes; n for those that are not."""
+    n, cells = len(codes), morton_decode(codes)
+    found = np.full((len(STEPS), n), n, np.int32)
+    found[CENTRE] = np.arange(n)
+    for number in range(CENTRE):  # each step and its opposite
+        near = morton_encode(cells + STEPS[number])
+        place = np.searchsorted(codes, near)
+        own = np.flatnonzero(np.append(codes, ~np.uint64(0))[place] == near)
+        found[number, own] = place[own]
+        found[2 * CENTRE - number, place[own]] = own
     return found
 
 
@@ -59,15 +62,14 @@ class Thinning:
         Those that have separated.
     """
 
-    def __init__(self, codes: np.ndarray, may_go: np.ndarray, covered: np.ndarray) -> None:
-        """Take voxels by ascending Morton code; which may go, and which of these are covered, (n,)
-        bool."""
-        n, self.rows = len(codes), np.flatnonzero(may_go)
-        self.codes, m = codes, len(self.rows)
+    def __init__(self, may_go: np.ndarray, covered: np.ndarray, beside: np.ndarray) -> None:
+        """Take which of n voxels may go, and which of these are covered, (n,) bool; and where the
+        neighbours of those that may go are among the voxels, as neighbours_among has them."""
+        n, self.rows, self.beside = len(may_go), np.flatnonzero(may_go), beside
+        m = len(self.rows)
         self.present = np.append(np.ones(n, bool), False)
         self.row_of = np.full(n + 1, m)
         self.row_of[self.rows] = np.arange(m)
-        self.beside = neighbours_among(codes, self.rows)
         self.masks = np.zeros(m + 1, np.uint32)
         for bit, near in zip(BIT_OF, self.beside, strict=True):
             self.masks[:-1] |= np.where(self.present[near], bit, np.uint32(0))
