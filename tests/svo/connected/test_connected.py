@@ -238,6 +238,15 @@ def test_necks_are_bridged_and_gaps_are_not(device) -> None:
     assert (pieces(result), euler(result)) == (1, 1)
 
 
+def test_a_neck_between_faces_is_a_row_of_voxels(device) -> None:
+    """Blocks 1.2 voxels apart, with a wire from one to the other: two voxels join them, although
+    all between them touch the mesh."""
+    blocks = meshes.box([8, 8, 8], [20, 20, 20.4]), meshes.box([8, 8, 21.6], [20, 20, 36])
+    wire = meshes.tube(line((13.4, 14.3, 18), (13.4, 14.3, 24)), 0.1)
+    solid, result, _ = made(mesh_of(*blocks, wire), device, fill="nonzero")
+    assert (pieces(solid), pieces(result), (result & ~solid).sum()) == (2, 1, 2)
+
+
 def tree(rng: np.random.Generator, branches: int, smallest: float) -> list:
     """Tubes that branch off each other and taper, as vessels do."""
     start = rng.uniform(8, 14, 3)

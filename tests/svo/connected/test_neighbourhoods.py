@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from voxtool.svo.connected.neighbourhoods import is_simple, separates
-from voxtool.svo.connected.parts import contains, meet
+from voxtool.svo.connected.parts import Shells, contains, meet
 
 FACES = ndimage.generate_binary_structure(3, 1)
 EIGHTEEN = ndimage.generate_binary_structure(3, 2)
@@ -83,3 +83,21 @@ def test_points_in_boxes(seed: int) -> None:
         on = ((point >= low) & (point <= high)).all() and ((point == low) | (point == high)).any()
         if not on:
             assert contains(vertices[faces], point) == ((point > low) & (point < high)).all()
+
+
+def test_shells_that_bound_one_part() -> None:
+    """Boxes that share a voxel: apart, crossing, a cavity, one in a cavity, two cavities."""
+    whole, half = meshes.box([0] * 3, [9] * 3), meshes.box([1] * 3, [4] * 3)
+    for boxes, parts in (
+        ((half, meshes.box([5] * 3, [8] * 3)), 2),
+        ((half, meshes.box([2, 2, 0], [3, 3, 9])), 1),
+        ((whole, half), 1),
+        ((whole, meshes.box([1] * 3, [8] * 3), meshes.box([2] * 3, [3] * 3)), 2),
+        ((whole, half, meshes.box([5] * 3, [8] * 3)), 1),
+    ):
+        mesh = meshes.mesh_of(*meshes.join(*boxes))
+        faces = np.arange(len(mesh.faces))
+        shells = Shells(mesh, mesh.vertices.astype(np.int32))
+        assert shells.several
+        assert len(set(shells.united(np.zeros_like(faces), faces)[shells.of].tolist())) == parts
+        assert len(set(shells.united(faces, faces)[shells.of].tolist())) == len(boxes)

@@ -79,7 +79,8 @@ def _added(
     masks = np.zeros_like(surface.masks)
     masks[np.searchsorted(surface.codes, candidates.codes ^ frame)] = candidates.masks
     weights = STEPS_OF_DISTANCE - np.floor(STEPS_OF_DISTANCE * distances(masks)).astype(int)
-    stays = Thinning(thin.added, thin.covered, thin.beside).run(weights, thin.subfields)
+    thinning = Thinning(thin.added, thin.covered, ~thin.between, thin.beside)
+    stays = thinning.run(weights, thin.subfields)
     added = Bricks.of(thin.codes[stays & thin.added])
     return Bricks(added.codes ^ frame, added.masks)
 

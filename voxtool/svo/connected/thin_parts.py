@@ -71,7 +71,9 @@ class ThinParts:
     added : (n,) bool
         Which of them are candidates.
     covered : (n,) bool
-        Which of these are more than skin.
+        Which of these lie along a thin part.
+    between : (n,) bool
+        Which of these lie between components that are thick there.
     beside : (27, m) int32
         Where the neighbours of each candidate are among the codes; n for those that are not.
     subfields : (m,) int64
@@ -82,6 +84,7 @@ class ThinParts:
     codes: np.ndarray
     added: np.ndarray
     covered: np.ndarray
+    between: np.ndarray
     beside: np.ndarray
     subfields: np.ndarray
 
@@ -180,12 +183,14 @@ def find_thin_parts(solid: Solid, surface: Bricks, max_memory: int) -> ThinParts
     outer = Bricks(surface.codes[unset != 0], unset[unset != 0])
     skin = outer.masks & solid.near_thick(outer.codes)
     some = skin != 0
-    skin[some] &= ~solid.near_several(outer.codes[some])
-    covered = outer.where(outer.masks & ~skin)
-    check(len(covered), max_memory)
+    joints = np.zeros_like(skin)
+    joints[some] = skin[some] & solid.near_several(outer.codes[some])
+    covered, between = outer.where(outer.masks & ~skin), outer.where(joints)
+    first = outer.where(outer.masks & (~skin | joints))
+    check(len(first), max_memory)
     side = TILE * solid.voxels.side
-    around = with_neighbours(covered, 26, side)
-    candidates = around[outer.has(around)] if len(covered) else covered
+    around = with_neighbours(first, 26, side)
+    candidates = around[outer.has(around)] if len(first) else first
     check(len(candidates), max_memory)
     around = with_neighbours(candidates, 26, side)
     codes = around[solid.has(around) | among(candidates, around)]
@@ -205,7 +210,8 @@ def find_thin_parts(solid: Solid, surface: Bricks, max_memory: int) -> ThinParts
     np.minimum.at(corners, component[kept], cells)
     subfields = (cells - corners[component[kept]]) % 3 @ np.array([1, 3, 9])
     codes, added = codes[chosen], added[chosen]
-    return ThinParts(codes, added, among(covered, codes), place[beside[:, kept]], subfields)
+    which = among(covered, codes), among(between, codes)
+    return ThinParts(codes, added, *which, place[beside[:, kept]], subfields)
 
 
 def check(candidates: int, max_memory: int) -> None:

@@ -62,9 +62,12 @@ class Thinning:
         Those that have separated.
     """
 
-    def __init__(self, may_go: np.ndarray, covered: np.ndarray, beside: np.ndarray) -> None:
-        """Take which of n voxels may go, and which of these are covered, (n,) bool; and where the
-        neighbours of those that may go are among the voxels, as neighbours_among has them."""
+    def __init__(
+        self, may_go: np.ndarray, covered: np.ndarray, sheets: np.ndarray, beside: np.ndarray
+    ) -> None:
+        """Take which of n voxels may go, and which of these are covered, and may be of sheets, (n,)
+        bool; and where the neighbours of those that may go are among the voxels, as
+        neighbours_among has them."""
         n, self.rows, self.beside = len(may_go), np.flatnonzero(may_go), beside
         m = len(self.rows)
         self.present = np.append(np.ones(n, bool), False)
@@ -77,6 +80,7 @@ class Thinning:
         own = np.flatnonzero(covered[self.rows])
         self.covering[self.rows[own]] = np.bitwise_count(self.masks[own] & COVERING)
         self.stays = np.zeros(m, bool)
+        self._sheets = sheets[self.rows]
         self._changed = np.ones(m + 1, bool)
 
     def run(self, weights: np.ndarray, subfields: np.ndarray) -> np.ndarray:
@@ -99,7 +103,7 @@ class Thinning:
 
     def _mark(self, going: np.ndarray) -> None:
         """Let the voxels that separate stay."""
-        rows = np.flatnonzero(self._changed[:-1] & going & ~self.stays)
+        rows = np.flatnonzero(self._changed[:-1] & going & self._sheets & ~self.stays)
         self.stays[rows[separates(self.masks[rows])]] = True
         self._changed[:] = False
 
