@@ -18,7 +18,7 @@ EIGHTEEN = ndimage.generate_binary_structure(3, 2)
 
 
 def answers(dense: np.ndarray) -> tuple[bool, bool]:
-    """Whether the middle voxel is simple, and whether it separates, by definition."""
+    """Return whether the middle voxel is simple, and whether it separates, by definition."""
     others = dense.copy()
     others[1, 1, 1] = False
     outside = ~dense & EIGHTEEN
@@ -43,7 +43,7 @@ def test_simple_voxels_and_those_that_separate() -> None:
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether a plane lies between two triangles, across the axes of [Gottschalk 1996]."""
+    """Return whether a plane lies between two triangles, across the axes of [Gottschalk 1996]."""
     edges = [[t[i] - t[i - 1] for i in range(3)] for t in (one, other)]
     axes = [np.cross(e[0], e[1]) for e in edges]
     axes += [np.cross(a, b) for a, b in product(*edges)]
@@ -55,7 +55,7 @@ def apart(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def flat(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two triangles lie in one plane, or one of them in a line."""
+    """Return whether two triangles lie in one plane, or one of them in a line."""
     normals = [np.cross(t[1] - t[0], t[2] - t[0]) for t in (one, other)]
     return not all(n.any() for n in normals) or not np.cross(*normals).any()
 

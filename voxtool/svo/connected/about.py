@@ -1,4 +1,4 @@
-"""What may be connected, and what is said of it."""
+"""Requests to connect thin parts: which are refused, and what reports say."""
 
 from __future__ import annotations
 
@@ -44,5 +44,6 @@ def about_connected(plan: Mapping[str, Any]) -> list[str]:
     if not isinstance(facts, dict):
         return []
     added, pieces, became = (facts[name] for name in ("added", "pieces", "became"))
-    voxels = count_of(added, "voxel") if added else "no voxel"
-    return [f"{voxels} added: {count_of(pieces, 'piece')} became {became:,}"]
+    if not added:
+        return ["no voxel had to be added: no thin part is broken"]
+    return [f"{count_of(added, 'voxel')} added: {count_of(pieces, 'piece')} became {became:,}"]

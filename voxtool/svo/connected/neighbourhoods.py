@@ -27,7 +27,7 @@ def _mask(chosen: np.ndarray) -> np.uint32:
 _DISTANCE = np.abs(STEPS).sum(axis=1)
 FACES, NEAR = _mask(_DISTANCE == 1), _mask((_DISTANCE > 0) & (_DISTANCE < 3))
 OTHERS = _mask(_DISTANCE > 0)
-# Of each axis: how far its neighbours' bits are apart, and the bits that have one above and below.
+# For each axis: the distance to the next bit along it, and the bits that have one above and below.
 AXES = [
     (np.uint32(3**axis), _mask(STEPS[:, axis] < 1), _mask(STEPS[:, axis] > -1)) for axis in range(3)
 ]

@@ -50,7 +50,8 @@ class Bricks:
         return cls(*unite_bricks(voxels >> np.uint64(6), bits))
 
     def where(self, masks: np.ndarray) -> np.ndarray:
-        """Return the ascending Morton codes of the voxels of other masks of these bricks."""
+        """Return the ascending Morton codes of voxels, given as masks of these
+        bricks, (n,) uint64 each."""
         brick, bit = np.nonzero((masks[:, None] & BITS) != 0)
         return (self.codes[brick] << np.uint64(6)) | bit.astype(np.uint64)
 
@@ -69,11 +70,11 @@ class ThinParts:
     codes : (n,) uint64
         Ascending Morton codes, in the frame.
     added : (n,) bool
-        Which of them are candidates.
+        The candidates.
     covered : (n,) bool
-        Which of these lie along a thin part.
+        The candidates along a thin part.
     between : (n,) bool
-        Which of these lie between components that are thick there.
+        The candidates between components that are thick there.
     beside : (27, m) int32
         Where the neighbours of each candidate are among the codes; n for those that are not.
     subfields : (m,) int64
@@ -215,7 +216,7 @@ def find_thin_parts(solid: Solid, surface: Bricks, max_memory: int) -> ThinParts
 
 
 def check(candidates: int, max_memory: int) -> None:
-    """Raise MemoryLimitError if so many candidates do not fit in memory."""
+    """Raise MemoryLimitError if this number of candidates does not fit in memory."""
     what = f"{candidates:,} voxels that touch thin parts, to connect them,"
     check_memory(HOST_BYTES * candidates, what, FEWER, max_memory)
 

@@ -65,9 +65,15 @@ class Thinning:
     def __init__(
         self, may_go: np.ndarray, covered: np.ndarray, sheets: np.ndarray, beside: np.ndarray
     ) -> None:
-        """Take which of n voxels may go, and which of these are covered, and may be of sheets, (n,)
-        bool; and where the neighbours of those that may go are among the voxels, as
-        neighbours_among has them."""
+        """Take n voxels.
+
+        Parameters
+        ----------
+        may_go, covered, sheets : (n,) bool
+            Those that may go; and of these, the covered ones, and those that may lie in sheets.
+        beside : (27, m) int32
+            Where the neighbours of those that may go are among the n, as from neighbours_among.
+        """
         n, self.rows, self.beside = len(may_go), np.flatnonzero(may_go), beside
         m = len(self.rows)
         self.present = np.append(np.ones(n, bool), False)
