@@ -31,10 +31,11 @@ MODELS = Path(__file__).parents[2] / "shared" / "models"
 MODES = ("surface26", "surface6", "solid", "solid+surface26")  # solid by parity
 FILLS = (("nonzero", 0), ("winding", 0), ("flood", 0), ("flood", 3))
 FILL_DIM = 128  # the largest
-OWN = ("bunny", "sphere", "torus", "open-box", "needles")
+OWN = ("bunny", "sphere", "torus", "open-box", "needles", "helix")
 MORPHS = {50: ("dilate", 2.5), 128: ("close", 4.0)}  # of the solid, by dim
 FRACTION_DIM = 200  # the largest with fractions
 ATTRIBUTES_DIM = 50  # of octrees with labels, colours and normals
+CONNECTED_DIMS = (64, 128)  # of solids whose thin parts are connected
 POINTS_DIM = 50  # of the octree that is queried at points
 DIMS = (8, 50, 64, 200, 512)
 REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker-arm", "spot",
@@ -53,6 +54,10 @@ def own_mesh(name: str) -> voxtool.Mesh:
         return voxtool.mesh_from_arrays(*lattice_points(meshes.torus()))
     if name == "open-box":
         return voxtool.mesh_from_arrays(*meshes.open_box((0, 0, 0), (7, 9, 8)))
+    if name == "helix":
+        turns = np.linspace(0, 4 * np.pi, 200)
+        points = np.stack([np.cos(turns), np.sin(turns), turns / 5], axis=1)
+        return voxtool.mesh_from_arrays(*lattice_points(meshes.tube(points, 0.01)))
     rng = np.random.default_rng(11)
     vertices, faces = meshes.random_triangles(rng, 300, (64, 64, 64), margin=0)
     vertices[2::3] = vertices[1::3] + rng.integers(-1, 2, (300, 3))
@@ -84,6 +89,9 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
         for fill, gap in FILLS if dim <= FILL_DIM else ():
             octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
             yield f"{octree.fill} {dim}", octree.digest()
+        if dim in CONNECTED_DIMS:
+            more = {"fill": "nonzero", "connected": True, "device": device}
+            yield f"connected {dim}", voxtool.voxelize(mesh, grid, **more).digest()
         if dim == ATTRIBUTES_DIM:
             yield from attributed(mesh, grid, device)
         if dim == POINTS_DIM:

@@ -114,6 +114,54 @@ def torus(
     return vertices, faces
 
 
+def tube(
+    points: np.ndarray, radius: float | np.ndarray, sides: int = 8, *, closed: bool = False
+) -> Mesh:
+    """A closed tube about a curve, without a sharp turn: (n, 3) points that it passes through in
+    order, back to the first one if it is closed, and its radius, or that at each point."""
+    points = np.asarray(points, float)
+    n = len(points)
+    along = np.gradient(points, axis=0)
+    if closed:
+        along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    across = np.cross(along[0], [0.3, 0.5, 0.81])
+    turns = 2 * np.pi * np.arange(sides)[:, None] / sides
+    rings = []
+    for point, direction, size in zip(points, along, np.broadcast_to(radius, n), strict=True):
+        across = across - direction * (across @ direction)
+        across /= np.linalg.norm(across)
+        other = np.cross(direction, across)
+        rings.append(point + size * (np.cos(turns) * across + np.sin(turns) * other))
+    ring, side = np.meshgrid(np.arange(n if closed else n - 1), np.arange(sides), indexing="ij")
+    twist = np.zeros_like(ring)  # of the last ring to the first
+    if closed:
+        gaps = np.linalg.norm(rings[-1][0] - rings[0], axis=1)
+        twist[-1] = int(np.argmin(gaps))
+    a, b = ring * sides + side, ring * sides + (side + 1) % sides
+    after = (ring + 1) % n * sides
+    c, d = after + (side + twist) % sides, after + (side + 1 + twist) % sides
+    faces = [np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)]
+    vertices = np.concatenate(rings)
+    if not closed:
+        k, k1 = np.arange(sides), (np.arange(sides) + 1) % sides
+        first, last = np.full(sides, len(vertices)), np.full(sides, len(vertices) + 1)
+        faces.append(np.stack([first, k1, k], -1))
+        faces.append(np.stack([last, k + (n - 1) * sides, k1 + (n - 1) * sides], -1))
+        vertices = np.concatenate([vertices, points[[0, -1]]])
+    return vertices, np.concatenate(faces)
+
+
+def plate(normal: Sequence, half: float, thickness: float, centre: Sequence) -> Mesh:
+    """A square plate across a normal, of sides 2 half."""
+    axis = np.asarray(normal, float) / np.linalg.norm(normal)
+    u = np.cross(axis, [0.2, 0.5, 0.7])
+    u /= np.linalg.norm(u)
+    frame = np.stack([u, np.cross(axis, u), axis])
+    vertices, faces = box([-half, -half, -thickness / 2], [half, half, thickness / 2])
+    return vertices @ frame + np.asarray(centre), faces
+
+
 def random_triangles(
     rng: np.random.Generator,
     n: int,

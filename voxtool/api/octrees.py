@@ -73,6 +73,7 @@ def plan_voxelize(
     fill: str = FILLS[0],
     gap: int = 0,
     with_surface: bool = False,
+    connected: bool = False,
     fraction_type: str | None = None,
     face_fractions: bool = False,
     labels: str | Parts | None = None,
@@ -112,6 +113,10 @@ def plan_voxelize(
         for "flood", openings of up to this many voxels are closed first.
     with_surface
         for "solid": add the voxels of "surface26".
+    connected
+        for "solid": keep parts of the mesh that are thinner than two voxels in one piece. Few
+        voxels of "surface26" are added: a tube becomes a curve of voxels, a wall a sheet, and a
+        ring stays a ring. `octree.plan["connected"]` counts them.
     fraction_type
         for "fraction": "f4" (float32, the default), "u2" or "u1" (whole numbers, times 65,535 or
         255).
@@ -175,7 +180,7 @@ def plan_voxelize(
     found = as_mesh(mesh, max_memory, kept_for(labels, attributes))
     placed = grid_of(found, grid, dim, pitch)
     return plan_octree(
-        found, placed, mode, fill=fill, gap=gap, with_surface=with_surface,
+        found, placed, mode, fill=fill, gap=gap, with_surface=with_surface, connected=connected,
         fraction_type=fraction_type, face_fractions=face_fractions, labels=labels,
         priority=priority, attributes=attributes, colour=colour, window=window, device=device,
         max_memory=max_memory,

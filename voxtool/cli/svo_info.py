@@ -93,6 +93,8 @@ def labels(info: dict[str, Any], unit: str) -> Iterator[str]:
 
 def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
     """The lines of a summary, if verbose with how it is stored."""
+    from voxtool.svo.connected.about import about_connected
+
     unit = f" {info['units']}" if info["units"] else ""
     size = " x ".join(map(str, info["shape"]))
     yield from table((
@@ -107,6 +109,7 @@ def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
         *sizes(info, verbose, f", {info['memory_bytes_with_x_pointers']:,} with x-pointers; "
                f"{info['compression']:.1f} times smaller than a dense bit grid"),
         *merged(info),
+        *(("connected", line) for line in about_connected(info["plan"])),
         *attributes(info, unit),
     ))  # fmt: skip
     if verbose:

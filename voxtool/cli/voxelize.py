@@ -60,6 +60,8 @@ if TYPE_CHECKING:
         "With --fill flood: close openings of up to this many voxels first.", 0, metavar="VOXELS",
         show_default=False),
     flag("--with-surface", "Add surface26 to solid, so that thin walls survive."),
+    flag("--connected", "With --mode solid: keep each part of the mesh that is thinner than two "
+        "voxels, such as a vessel, a wire or a wall, in one piece, by few voxels that touch it."),
     option("--dim", DIM, f"Voxels along the longest side.  [default: {DEFAULT_DIM}]"),
     option("--pitch", float, "Voxel size in world units, instead of --dim."),
     bbox_option,
@@ -101,7 +103,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, mode: str, fraction_type: str | None,
-    face_fractions: bool, fill: str, gap: int, with_surface: bool,
+    face_fractions: bool, fill: str, gap: int, with_surface: bool, connected: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
     dag: bool, thin: bool, labels: str | None, priority: str | None, attributes: list[str] | None,
     colour: str | None, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
@@ -134,9 +136,14 @@ def command(
         raise click.UsageError(f"{name} goes with --mode {FRACTION}, not {mode}")
     if mode == FRACTION:
         given = {"--with-surface": with_surface, "--attributes": attributes, "--dag": dag}
+        given["--connected"] = connected
         check_fraction(fill, given)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
+    if connected and mode != "solid":
+        raise click.UsageError(f"--connected goes with --mode solid: {mode} is a surface")
+    if connected and with_surface:
+        raise click.UsageError("--connected adds some of --with-surface's voxels: drop one")
     if thin and "surface" not in mode:
         raise click.UsageError("--thin goes with --mode surface26 and surface6")
     attributes = attributes or []
@@ -163,6 +170,8 @@ def command(
         raise click.UsageError("--dag writes .svo.h5: name one with -o")
     if thin and (dask or resume):
         raise click.UsageError("--thin takes a surface in one piece: drop --dask and --resume")
+    if connected and (dask or resume):
+        raise click.UsageError("--connected takes a solid in one piece: drop --dask and --resume")
     if labels and "xml" in str(run.file_format):
         raise click.UsageError("XML holds no attributes of voxels: name a .svo.h5 with -o")
     if doctype and "xml" not in str(run.file_format):
@@ -172,6 +181,7 @@ def command(
         loaded = run.meshes((mesh, *others), units, scale, normalize, keep)
         grid = options.grid_from(loaded, like, placing)
         request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
+        request["connected"] = connected
         request |= {"fraction_type": fraction_type, "face_fractions": face_fractions}
         request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
         request |= {"attributes": attributes, "colour": colour or COLOURS[0]}
@@ -179,10 +189,10 @@ def command(
         placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
         parts = None
         if dask:
-            from voxtool.tiles.cluster import connected
+            from voxtool.tiles import cluster
             from voxtool.tiles.plan import plan_spread
 
-            client = stack.enter_context(connected(dask, workers))
+            client = stack.enter_context(cluster.connected(dask, workers))
             parts = run.stage("plan windows", plan_spread, job, client, run.device_name, merged=dag)
         elif windows != "never" and not thin and run.file_format == "svo.h5" and not fits(job, dag):
             parts = run.stage("plan windows", windows_of, job, dag)
@@ -267,9 +277,16 @@ def facts_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:
         "bricks": len(octree.bricks),
         "memory_bytes": octree.nbytes,
         "digest": octree.digest(),
+        **connected_of(octree),
         **attributes_of(octree),
         **volumes_of(octree),
     }
+
+
+def connected_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:
+    """Return what connecting its thin parts added to an octree, in JSON types."""
+    facts = octree.plan.get("connected")
+    return {"connected": facts} if facts else {}
 
 
 def attributes_of(octree: Any) -> dict[str, Any]:

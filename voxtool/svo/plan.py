@@ -10,6 +10,7 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.job import Cost
+from voxtool.svo.connected.about import CONNECTED, RULE
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
 LINK_BYTES = 10  # of a node whose flips are propagated: its neighbours along x, and its flips
@@ -25,8 +26,10 @@ FLOOD_BYTES = 176  # of a brick in the graph of free space that a flood unites
 FLOOD_BLOCK = 64  # voxels along a side of the blocks of which slabs consist, at least
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
-# Fields that are given
-REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded", "choice", "inside", "checked")
+# Fields that are given.
+REQUEST = (
+    "mode", "fill", "gap", "holes", "caps", "flooded", "choice", "inside", "checked", "connected",
+)  # fmt: skip
 COMPARISON = "comparison of fill rules"  # a stage
 
 
@@ -66,6 +69,7 @@ class VoxelizePlan:
     choice: str = ""  # why the rule was chosen, if rules were compared
     inside: tuple[tuple[str, Any], ...] = ()  # what was found of the parts, by name, to be stored
     checked: bool = False  # whether parts overlap is found out as it runs
+    connected: bool = False  # thin parts stay in one piece
     slabs: int = 1  # in which it is flooded, one after the other
     seeds: int = 0  # nodes that are refined at the faces of a window that is flooded
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
@@ -97,6 +101,11 @@ class VoxelizePlan:
         return self.fill not in ("none", "flood")
 
     @property
+    def connects(self) -> bool:
+        """True if voxels may be added to connect thin parts; a flood has all that could be."""
+        return self.connected and self.fill != "flood"
+
+    @property
     def descends(self) -> bool:
         """True if a voxel's node is found in the octree, which a flood does not have yet."""
         return self.addressing != "ranks" and self.fill != "flood"
@@ -118,6 +127,7 @@ class VoxelizePlan:
             f"surface{self.surface}": self.surface != "",
             "flood": self.fill == "flood",
             "read back": self.fill != "flood",
+            "connect": self.connects,
         }
         return [stage for stage, runs in stages.items() if runs]
 
@@ -146,7 +156,7 @@ class VoxelizePlan:
             rows += LINK_BYTES * self.nodes + bricks
         if self.entry:
             rows += 8 * -(-self.shape[1] // CELL) * -(-self.shape[2] // CELL)
-        added = (bricks + 4 * finest) * (self.solid and bool(self.surface))
+        added = (bricks + 4 * finest) * (self.solid and (bool(self.surface) or self.connects))
         crossings = 0
         if self.listed:  # sorting copies them from one array to another
             crossings = 2 * 8 * round(survey.areas[0]) + 4 * survey.triangles
@@ -220,8 +230,10 @@ class VoxelizePlan:
             out["crossings, rows and fill"] = "the outside is flooded"
         elif not self.entry:
             out["state of rows on entry"] = "no triangle reaches beyond the low-x side"
-        if not self.surface:
+        if not self.surface and not self.connected:
             out["surface voxels"] = "the mode is solid, without its surface"
+        if self.connected and not self.connects:
+            out["connecting of thin parts"] = "a flood holds every voxel that touches the mesh"
         if self.listed and not self.caps:
             out["winding numbers near holes"] = (
                 "no edge bounds a hole: integers decide every voxel"
@@ -239,6 +251,7 @@ class VoxelizePlan:
             **({"choice": self.choice} if self.choice else {}),
             **({"inside": dict(self.inside)} if self.inside else {}),
             **({"holes": self.holes, "cap_triangles": self.caps} if self.fill == "winding" else {}),
+            **({CONNECTED: True} if self.connects else {}),
             "triangles": self.survey.triangles - self.caps,
             "triangles_outside": self.survey.outside,
             "largest_extent_voxels": self.survey.extent,
@@ -275,6 +288,8 @@ class VoxelizePlan:
             rows.append(("fill", self.rule + slabs))
         if self.choice:
             rows.append(("chosen", self.choice))
+        if self.connects:
+            rows.append((CONNECTED, RULE))
         size = human(self.cost.host)
         rows.append(("octree", f"about {self.bricks:,} bricks, {self.nodes:,} nodes, {size}"))
         rows.append(("work", f"about {self.work:,} voxels and crossings visited"))

@@ -147,8 +147,12 @@ class Scan:
 
     def surface(self, active: ActiveNodes) -> Array:
         """Return the bricks of the active nodes, with the voxels of the surface set."""
+        return self.voxels(TOUCHED if self.plan.surface == "26" else SEPARATING, active)
+
+    def voxels(self, kind: int, active: ActiveNodes) -> Array:
+        """Return the bricks of the active nodes, with the voxels that triangles touch, or that
+        separate, set."""
         bricks = self.device.zeros(8 * active.nodes.n, BRICK)
-        kind = TOUCHED if self.plan.surface == "26" else SEPARATING
         self.set_boxes(kind, {**active.lookup, "target": bricks})
         return bricks
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
 from voxtool.spatial.fill_rule import UNION, Inside, inside_of_closed
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
+from voxtool.svo.connected.about import about_connected, check_connected
 from voxtool.svo.fill.levels import SOURCE as LEVELS
 from voxtool.svo.fill.rows import (
     CROSSINGS,
@@ -63,6 +64,9 @@ from voxtool.svo.prune import prune
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import ActiveNodes, Scan, add_nodes, find_active_nodes
 
+if TYPE_CHECKING:
+    from voxtool.svo.connected.thin_parts import Bricks
+
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
 
@@ -75,6 +79,7 @@ def plan_voxelize(
     fill: str = "auto",
     gap: int = 0,
     with_surface: bool = False,
+    connected: bool = False,
     window: Window | None = None,
     every_face: bool = False,
     closed: bool = False,
@@ -92,6 +97,7 @@ def plan_voxelize(
         raise VoxtoolError(f"fill {fill!r} is unknown: choose one of {', '.join(FILLS)}")
     if with_surface and mode != "solid":
         raise VoxtoolError(f"mode {mode!r} is a surface already: drop with_surface")
+    check_connected(connected, mode, with_surface, window)
     if gap and fill != "flood":
         raise VoxtoolError(f"gap {gap} goes with fill 'flood', not {fill!r}")
     if not 0 <= gap <= grid.dim:
@@ -101,7 +107,7 @@ def plan_voxelize(
         if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
-    job.every_face, job.closed = every_face, closed
+    job.every_face, job.closed, job.connected = every_face, closed, connected
     if fill == "auto" and mode == "solid":
         fill, gap = job.choose()
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
@@ -140,6 +146,9 @@ class VoxelizeJob(Job[Octree]):
     differing: int = 0
     every_face: bool = False  # also those that repeat others
     closed: bool = False  # a part of a closed mesh
+    connected: bool = False  # thin parts stay in one piece
+    one_part: bool = False  # each connected part of the inside lies far from the others
+    added: Bricks | None = None  # known once it has run: voxels that connect thin parts
     surface_found: Callable[[Scan, ActiveNodes, Array], None] | None = None  # receives a surface
     _crowded: bool = False  # known once it has run
     _certain: bool = True  # False once a check has found that parts may overlap
@@ -208,6 +217,7 @@ class VoxelizeJob(Job[Octree]):
         if inside and self.differing:
             found = {"parts": inside.parts, "faces_turned": inside.turned, "why": inside.why}
             request["inside"] = *found.items(), ("voxels_parity_differs", self.differing)
+        request["connected"] = self.connected
         plan = plan_of(survey, self.grid.shape, **request)
         self.plan = plan.in_slabs(self.limit, self.device.info.max_allocation)
 
@@ -230,6 +240,13 @@ class VoxelizeJob(Job[Octree]):
     def _flooded(self) -> Window:
         """The part of the grid that is flooded."""
         return (0, 0, 0), self._whole.shape
+
+    @property
+    def mesh_of_faces(self) -> Mesh:
+        """The mesh of the faces that are voxelized."""
+        mesh, some = self.mesh, self._faces
+        faces = mesh.faces if some is None else mesh.faces[some]
+        return Mesh(mesh.vertices, faces, mesh.source_sha256, mesh.name, mesh.units, mesh.transform)
 
     def _place(self, some: np.ndarray | None, fill: str) -> Survey:
         """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
@@ -290,7 +307,7 @@ class VoxelizeJob(Job[Octree]):
         octree = self._make()
         if not self._certain:
             self.settle()
-            if self.differing:
+            if self.differing or self.plan.connects:
                 return self._make()
         return octree
 
@@ -337,7 +354,14 @@ class VoxelizeJob(Job[Octree]):
         if plan.surface:
             with self.stage(f"surface{plan.surface}"):
                 filled.unite(scan.surface(active))
-        return self._read(filled, touched)
+        octree = self._read(filled, touched)
+        if plan.connects and self._certain:
+            from voxtool.svo.connected.connect import connect
+
+            del filled
+            with self.stage("connect"):
+                return connect(self, octree, scan, active)
+        return octree
 
     def _flood(self) -> Octree:
         """Return the octree of everything that the outside cannot reach through the surface."""
@@ -380,7 +404,11 @@ class VoxelizeJob(Job[Octree]):
         return Octree(self.grid, mode, rule, *arrays, scene, *origin)
 
     def notes(self, octree: Octree) -> list[str]:
-        """Return lines about what was decided to be inside; they are not warnings."""
+        """Return lines about what was decided to be inside, and about the voxels that connect thin
+        parts; they are not warnings."""
+        return [*self._about_fill(octree), *about_connected(octree.plan)]
+
+    def _about_fill(self, octree: Octree) -> list[str]:
         if doubts := self.doubts(octree):
             return doubts
         if self.watertight or not self.chosen or octree.fill != "winding":
@@ -439,8 +467,8 @@ class VoxelizeJob(Job[Octree]):
             return "it is flat and encloses nothing: choose fill flood, or mode surface26"
         if self.plan.solid:
             return (
-                "no voxel's centre is inside it: choose smaller voxels, mode surface26, or "
-                "with_surface"
+                "no voxel's centre is inside it: choose smaller voxels, mode surface26, "
+                "connected, or with_surface"
             )
         return "its faces reach no voxel of the grid"
 

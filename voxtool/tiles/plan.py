@@ -8,6 +8,7 @@ from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.fraction import FractionJob
 from voxtool.svo.attribution.labels import PartLabelsJob
 from voxtool.svo.attribution.part_fractions import PartFractionsJob
+from voxtool.svo.connected.about import refuse_windows
 from voxtool.tiles.attributed import (
     AttributeWindowsJob,
     FloodAttributeWindowsJob,
@@ -36,7 +37,9 @@ if TYPE_CHECKING:
 
 def plan_windows(whole: Any, *, merged: bool = False) -> WindowsJob:
     """Return the job in windows of a voxelization, which may have attributes; with `merged` one
-    that merges subtrees. Raises MemoryLimitError if the smallest windows do not fit."""
+    that merges subtrees. Raises MemoryLimitError if the smallest windows do not fit, and
+    OnePieceError if something is not made in windows."""
+    refuse_windows(whole.plan)
     if isinstance(whole, SurfaceAttributesJob):
         if isinstance(whole.inner, PartLabelsJob):
             return LabelAttributeWindowsJob(whole)
@@ -62,7 +65,13 @@ def plan_spread(
     Parameters
     ----------
     device_name : the device of a worker, as --device takes it.
+
+    Raises
+    ------
+    OnePieceError
+        If something is not made in windows.
     """
+    refuse_windows(whole.plan)
     return _kind_of_spread(whole, merged)(whole, client, device_name)
 
 

@@ -94,6 +94,12 @@ class Atlas:
         moved[faces] = moves[of][:, None]
         return Mesh((points + moved) / (1 << FIXED_POINT_BITS), faces)
 
+    def home_of(self, bricks: np.ndarray) -> np.ndarray:
+        """Return the Morton codes of bricks of the larger grid, (n,) uint64, in the parts' own."""
+        firsts, homes = (codes << np.uint64(CELL_BITS) for codes in (self.starts, self.homes))
+        which = np.searchsorted(firsts, bricks, "right") - 1
+        return bricks - firsts[which] + homes[which]
+
     def add_to(self, nodes: Nodes, octree: Octree, rank_of: np.ndarray) -> None:
         """Add the nodes of the parts' octree to nodes of the parts' own lattice, with the rank of
         each part."""

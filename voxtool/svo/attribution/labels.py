@@ -31,6 +31,7 @@ from voxtool.svo.attribution import pieces
 from voxtool.svo.attribution.atlas import Atlas
 from voxtool.svo.attribution.paint import Nodes, Union, painted, unite
 from voxtool.svo.attribution.parts import PartMesh, parts_of, ranks_of
+from voxtool.svo.connected.about import CONNECTED, RULE, about_connected, united
 from voxtool.svo.layout import BRICK_VOXELS
 from voxtool.svo.octree import Octree
 from voxtool.svo.scan import SEPARATING, TOUCHED, Scan, add_nodes
@@ -64,6 +65,11 @@ class PartLabelsPlan:
     @property
     def surface(self) -> bool:
         return "surface" in self.mode and "solid" not in self.mode
+
+    @property
+    def connects(self) -> bool:
+        """True if voxels may be added to connect thin parts."""
+        return any(getattr(plan, "connects", False) for plan in self.inner)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -108,7 +114,8 @@ class PartLabelsPlan:
 
     def scene(self) -> dict[str, Any]:
         """The part of the plan that is stored with the octree, in JSON types."""
-        return {"labels": len(self.names), "stages": list(self.stages)}
+        more = {CONNECTED: True} if self.connects else {}
+        return {"labels": len(self.names), **more, "stages": list(self.stages)}
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
@@ -136,7 +143,7 @@ class PartLabelsPlan:
         for _, why in self.alone:
             reasons[why] = reasons.get(why, 0) + 1
         rows += [("alone", f"{count_of(n, 'part')}: {why}") for why, n in reasons.items()]
-        return rows
+        return [*rows, *[(CONNECTED, f"{RULE}, each by itself")] * self.connects]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if a voxelization or the union needs more bytes."""
@@ -159,6 +166,7 @@ def plan_labels(
     fill: str = "auto",
     gap: int = 0,
     with_surface: bool = False,
+    connected: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> PartLabelsJob:
@@ -170,23 +178,41 @@ def plan_labels(
     ranks = ranks_of(parts.names, priority)
     device = device or default_device()
     own = PartMesh.of_mesh(mesh, parts.labels)
-    fixed = grid.to_fixed(own.points)
-    alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
-    request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
-    options: dict[str, Any] = {"device": device, "max_memory": max_memory}
-    jobs = []
-    atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
-    if atlas:
-        together = atlas.mesh(fixed, own.faces, own.of)
-        jobs.append(plan_voxelize(together, atlas.grid, mode, **request, **options))
-    jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, **request, **options)
-             for part in alone]  # fmt: skip
+    request: dict[str, Any] = {"gap": gap, "with_surface": with_surface, "connected": connected}
+    request |= {"device": device, "max_memory": max_memory}
+    alone, atlas, jobs = plan_parts(mesh, own, grid, mode, fill, fill, **request)
     dtype = dtype_of_labels(len(parts.names))
     plan = PartLabelsPlan(
         mode + "+surface26" * with_surface, parts.names, len(atlas.parts) if atlas else 0,
         tuple(alone.items()), dtype, atlas.side if atlas else 0, tuple(job.plan for job in jobs),
     )  # fmt: skip
     return PartLabelsJob(mesh, grid, own, ranks, atlas, jobs, plan, device, max_memory)
+
+
+def plan_parts(
+    mesh: Mesh,
+    own: PartMesh,
+    grid: Grid,
+    mode: str,
+    fill: str,
+    closed_fill: str,
+    gap: int = 0,
+    **request: Any,
+) -> tuple[dict[int, str], Atlas | None, list[VoxelizeJob]]:
+    """Return the parts of a mesh that are voxelized alone, with the reasons; where the others lie,
+    which are closed; and the jobs, that of the others first if there are any. `request` as for
+    plan_voxelize."""
+    fixed = grid.to_fixed(own.points)
+    alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
+    request["gap"] = gap
+    jobs = []
+    atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
+    if atlas:
+        together = atlas.mesh(fixed, own.faces, own.of)
+        jobs.append(plan_voxelize(together, atlas.grid, mode, fill=closed_fill, **request))
+    jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, fill=fill, **request)
+             for part in alone]  # fmt: skip
+    return alone, atlas, jobs
 
 
 def dtype_of_labels(n: int) -> str:
@@ -267,7 +293,10 @@ class PartLabelsJob(Job[Octree]):
         if self.plan.surface:
             with self.stage(AREAS):
                 self._decide_by_area(union, values)
-        return self._octree(union, values, leaves, {octree.fill for octree in octrees})
+        octree = self._octree(union, values, leaves, {octree.fill for octree in octrees})
+        if facts := united(one.plan for one in octrees):
+            octree = replace(octree, plan={**octree.plan, CONNECTED: facts})
+        return octree
 
     def _voxelized(self) -> list[Octree]:
         """Return the octrees of the jobs; what a job would warn of, this one says of its part."""
@@ -336,9 +365,9 @@ class PartLabelsJob(Job[Octree]):
         described |= {"transform": mesh.transform, "plan": self.plan.scene()}
         return replace(octree, attributes=(label,), **described)
 
-    def notes(self, result: Octree) -> Iterable[str]:
-        """Return what was decided to be inside of parts."""
-        return self.doubts(result)
+    def notes(self, result: Octree) -> list[str]:
+        """Return lines about what is inside of parts, and the voxels that connect thin ones."""
+        return [*self.doubts(result), *about_connected(result.plan)]
 
     def doubts(self, result: Octree) -> list[str]:
         """Return a line if shells of a part overlap."""

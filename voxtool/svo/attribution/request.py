@@ -12,7 +12,7 @@ from voxtool.grid import Grid
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
+from voxtool.svo.voxelize import VoxelizeJob, Window, check_connected, plan_voxelize
 
 if TYPE_CHECKING:
     from voxtool.svo.attribution.colours import SurfaceAttributesJob
@@ -28,6 +28,7 @@ def plan_octree(
     fill: str = FILLS[0],
     gap: int = 0,
     with_surface: bool = False,
+    connected: bool = False,
     fraction_type: str | None = None,
     face_fractions: bool = False,
     labels: str | Parts | None = None,
@@ -42,6 +43,7 @@ def plan_octree(
     the job returns an Octree. VoxtoolError names what does not go together; MeshError and GridError
     as plan_voxelize."""
     if mode == FRACTION:
+        check_connected(connected, mode, with_surface, window)
         if with_surface or gap or attributes:
             raise VoxtoolError("mode 'fraction' has no surface, gap and attributes: drop them")
         options: Any = {"fill": fill, "kind": fraction_type or FRACTION_TYPES[0]}
@@ -66,12 +68,12 @@ def plan_octree(
 
         job = plan_labels(
             mesh, grid, mode, labels=labels, priority=priority, fill=fill, gap=gap,
-            with_surface=with_surface, device=device, max_memory=max_memory,
+            with_surface=with_surface, connected=connected, device=device, max_memory=max_memory,
         )  # fmt: skip
     else:
         job = plan_voxelize(
-            mesh, grid, mode, fill=fill, gap=gap, with_surface=with_surface, window=window,
-            device=device, max_memory=max_memory,
+            mesh, grid, mode, fill=fill, gap=gap, with_surface=with_surface, connected=connected,
+            window=window, device=device, max_memory=max_memory,
         )  # fmt: skip
     if not attributes:
         return job

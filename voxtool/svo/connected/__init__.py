@@ -1,0 +1,1 @@
+"""Solids whose thin parts stay in one piece."""
