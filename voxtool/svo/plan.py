@@ -9,6 +9,7 @@ from operator import attrgetter
 from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
+from voxtool.grid import FIXED_POINT_BITS
 from voxtool.job import Cost
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
@@ -25,7 +26,8 @@ FLOOD_BYTES = 176  # of a brick in the graph of free space that a flood unites
 FLOOD_BLOCK = 64  # voxels along a side of the blocks of which slabs consist, at least
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
-REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded", "choice")  # fields that are given
+# fields that are given
+REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded", "choice", "bits")
 COMPARISON = "comparison of fill rules"  # a stage
 
 
@@ -64,6 +66,7 @@ class VoxelizePlan:
     flooded: tuple[int, int, int] | None = None  # shape of the grid that is flooded
     choice: str = ""  # why the rule was chosen, if rules were compared
     slabs: int = 1  # in which it is flooded, one after the other
+    bits: int = FIXED_POINT_BITS  # a voxel is 2**bits units of the lattice
     seeds: int = 0  # nodes that are refined at the faces of a window that is flooded
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
     crowd: int = CROWD  # leaves of caps that may be near a voxel
@@ -322,7 +325,7 @@ def plan_of(survey: Survey, shape: tuple[int, int, int], **request: Any) -> Voxe
         side=side,
         **request,
         surface="6" if mode == "surface6" else "26" * ("26" in mode or fill == "flood"),
-        wide=survey.extent > NARROW_EXTENT,
+        wide=survey.extent > NARROW_EXTENT or request.get("bits", 0) > FIXED_POINT_BITS,
         code_bits=32 if side <= CODE_32_SIDE else 64,
         blocked=side > DENSE_SIDE,
         entry=solid and survey.before,

@@ -27,7 +27,7 @@ import numpy as np
 
 from voxtool.choices import FILLS, MODES
 from voxtool.errors import GridError, VoxtoolError, count_of
-from voxtool.grid import Grid
+from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Job, one_call
 from voxtool.mesh.counts import PROGRAMS as COUNTING
 from voxtool.mesh.counts import check_topology
@@ -80,12 +80,14 @@ def plan_voxelize(
     with_surface: bool = False,
     window: Window | None = None,
     every_face: bool = False,
+    bits: int = FIXED_POINT_BITS,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VoxelizeJob:
     """Return the surveyed and planned job of `voxelize`; see `voxtool.voxelize`.
 
-    With `every_face`, faces that repeat others are not left out: each may have its own colour.
+    With `every_face`, faces that repeat others are not left out: each may have its own colour. The
+    lattice is of 2**-bits voxel.
     """
     if mode not in MODES:
         raise VoxtoolError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
@@ -102,7 +104,7 @@ def plan_voxelize(
         if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
-    job.every_face = every_face
+    job.every_face, job.bits = every_face, bits
     if fill == "auto" and mode == "solid":
         fill, gap = job.choose()
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
@@ -155,6 +157,7 @@ class VoxelizeJob(Job[Octree]):
     chosen: bool = False
     choice: Choice | None = None
     every_face: bool = False  # also those that repeat others
+    bits: int = FIXED_POINT_BITS  # of the lattice
     surface_found: Callable[[Scan, ActiveNodes, Array], None] | None = None  # receives a surface
     _crowded: bool = False  # known once it has run
 
@@ -198,7 +201,7 @@ class VoxelizeJob(Job[Octree]):
         request: dict[str, Any] = {"mode": mode, "fill": fill, "gap": gap}
         flooded = self._flooded[1] if fill == "flood" else None
         request |= {"holes": holes, "caps": faces, "flooded": flooded}
-        request["choice"] = self.choice.why if self.choice else ""
+        request |= {"choice": self.choice.why if self.choice else "", "bits": self.bits}
         plan = plan_of(survey, self.grid.shape, **request)
         self.plan = plan.in_slabs(self.limit, self.device.info.max_allocation)
 
@@ -227,7 +230,8 @@ class VoxelizeJob(Job[Octree]):
         whole grid to flood it."""
         boundary = _boundary(self.mesh) if fill == "winding" else None
         window = self._flooded if fill == "flood" else self._window
-        self.lattice = place_mesh(self.mesh, self._whole, window, some, boundary, self.device)
+        place = self.mesh, self._whole, window, some, boundary, self.device
+        self.lattice = place_mesh(*place, self.bits)
         return self.lattice.survey()
 
     def with_(self, **decisions: Any) -> VoxelizeJob:

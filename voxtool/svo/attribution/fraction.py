@@ -26,7 +26,7 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from voxtool.errors import MeshError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import volume
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.attributes import Attribute
@@ -50,7 +51,10 @@ from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
 SOURCE = "svo/attribution/fraction.cl"
 TYPES = {kind: np.dtype(f"<{kind}") for kind in FRACTION_TYPES}
 MODE = "solid+fraction"  # of the octree
-MESH_VOLUME = "mesh_volume_voxels"  # in the plan that is stored
+# in the plan that is stored
+MESH_VOLUME, LATTICE_VOLUME, LATTICE_BITS = (
+    "mesh_volume_voxels", "lattice_volume_voxels", "lattice_bits",
+)  # fmt: skip
 VOXEL_BYTES = 4 * 4 + 4  # of a touched voxel: its sums and its share
 FACE_BYTES = 4 * 4 + 4 * FACES  # more with faces: sums across y and z, and the shares of faces
 
@@ -62,14 +66,21 @@ def plan_fractions(
     fill: str = FILLS[0],
     kind: str = FRACTION_TYPES[0],
     faces: bool = False,
+    bits: int | None = None,
     window: Window | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> FractionJob:
-    """Return the planned job of an octree with fractions; see `voxtool.voxelize`."""
+    """Return the planned job of an octree with fractions; see `voxtool.voxelize`.
+
+    The lattice is of 2**-bits voxel: by default the finest one for the mesh and the grid. Parts of
+    a mesh are given that of the whole.
+    """
     check_type(kind)
+    if bits is None:
+        bits = grid.finest_bits(mesh.bounds)
     options: dict[str, Any] = {"window": window, "device": device, "max_memory": max_memory}
-    solid = plan_voxelize(mesh, grid, "solid", fill=fill, **options)
+    solid = plan_voxelize(mesh, grid, "solid", fill=fill, bits=bits, **options)
     if solid.plan.fill == "flood":
         why = f" ({solid.choice.why})" if solid.choice else ""
         raise MeshError(
@@ -85,6 +96,11 @@ def check_type(kind: str) -> None:
     """Raise VoxtoolError if there is no such type of fractions."""
     if kind not in TYPES:
         raise VoxtoolError(f"fraction type {kind!r} is unknown: choose one of {', '.join(TYPES)}")
+
+
+def lattice_row(bits: int) -> tuple[str, str]:
+    """Return the name and the text of a lattice, which `--plan` prints."""
+    return "lattice", f"vertices are rounded to 2^-{bits} of a voxel"
 
 
 def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
@@ -104,6 +120,17 @@ def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
 def _exact_sum(values: np.ndarray) -> int:
     """Return the sum of int64 values as a Python integer."""
     return (int((values >> 32).sum()) << 32) + int((values & 0xFFFFFFFF).sum())
+
+
+class Volumes(NamedTuple):
+    """Signed volumes of a mesh, in voxels.
+
+    lattice : of its vertices on the lattice, the exact number rounded once
+    mesh : of its vertices themselves, in float64
+    """
+
+    lattice: float
+    mesh: float
 
 
 @dataclass(frozen=True)
@@ -178,20 +205,23 @@ class FractionPlan:
             "left_out": self.left_out,
             "fraction_type": self.kind,
             "face_fractions": self.faces,
+            LATTICE_BITS: self.solid.bits,
             "predicted_touched_voxels": self.touched,
             "predicted_device_bytes": self.cost.device,
         }
 
     def scene(self) -> dict[str, Any]:
         """The part of the plan that is stored in the octree, in JSON types."""
-        return {**self.solid.scene(), "stages": self.stages, "left_out": self.left_out}
+        own = {"stages": self.stages, "left_out": self.left_out, LATTICE_BITS: self.solid.bits}
+        return {**self.solid.scene(), **own}
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts that `--plan` prints before the stages."""
         what = "of voxels and their faces, " * self.faces
         fractions = f"{what}of type {self.kind}, about {self.touched:,} voxels that triangles touch"
         caps = [("caps", self.closing)] if self.caps[1] else []
-        return [*self.solid.rows(), *caps, ("fractions", fractions)]
+        own = [("fractions", fractions), lattice_row(self.solid.bits)]
+        return [*self.solid.rows(), *caps, *own]
 
     @property
     def closing(self) -> str:
@@ -237,7 +267,7 @@ class FractionJob(Job[Octree]):
     def with_(self, **decisions: Any) -> Self:
         """Return a copy of the job with fields of its plan, or of its solid's, replaced."""
         job = copy.copy(self)
-        vars(job).pop("mesh_volume", None)  # which depends on the caps
+        vars(job).pop("volumes", None)  # which depend on the caps
         own = {"kind": decisions.pop("kind")} if "kind" in decisions else {}
         job.solid = self.solid.with_(**decisions)
         job.plan = replace(self.plan, solid=job.solid.plan, **own)
@@ -252,7 +282,8 @@ class FractionJob(Job[Octree]):
 
     def scene(self) -> dict[str, Any]:
         """Return the plan that is stored with the octree, in JSON types."""
-        return {**self.plan.scene(), MESH_VOLUME: self.mesh_volume}
+        lattice, mesh = self.volumes
+        return {**self.plan.scene(), MESH_VOLUME: mesh, LATTICE_VOLUME: lattice}
 
     def shares(self, axis_alone: int | None = None) -> tuple[Octree, Shares]:
         """Return the octree of the solid, and what lies inside of the voxels that triangles touch;
@@ -264,7 +295,7 @@ class FractionJob(Job[Octree]):
         with self.stage("touched voxels"):
             touched, firsts, count = _touched(scan, active)
         with self.stage("parts"):
-            turned = self.mesh_volume < 0 and plan.fill != "winding"
+            turned = self.volumes.lattice < 0 and plan.fill != "winding"
             parts = _add_parts(scan, active, touched, firsts, count, turned, self.plan.faces)
         with self.stage("sums along rows"):
             found = sum_rows(self.device, solid, plan.shape, parts, scan.options, axis_alone)
@@ -272,12 +303,13 @@ class FractionJob(Job[Octree]):
         return solid, found
 
     @cached_property
-    def mesh_volume(self) -> float:
-        """The signed volume of the mesh on the fixed-point lattice, caps included, in voxels: the
-        exact number, rounded once; of a window, that of the whole mesh."""
+    def volumes(self) -> Volumes:
+        """The signed volumes of the mesh, caps included; of a window, those of the whole mesh."""
         lattice = self.solid.lattice
         faces = lattice.faces.get(0, lattice.faces.size).reshape(-1, 3)
-        return volume_in_units(lattice.fixed, faces) / (6 << 24)
+        rounded = volume_in_units(lattice.fixed, faces) / (6 << 3 * lattice.bits)
+        unrounded = volume(Mesh(self.mesh.vertices, faces)) / self.grid.voxel_volume
+        return Volumes(rounded, unrounded)
 
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield warnings: the surface does not bound what the fill rule says, or nothing is set."""
