@@ -29,13 +29,16 @@ typedef struct {
     int bounds[6];  // where the planes of the voxel lie
 } clipped;
 
-// Corner i is where line on[i] meets plane with[i], or corner on[i] of the triangle if with[i] is a side;
-// line[i] leads to the next corner.
+// What meets in a corner: a line and a plane, or a corner of the triangle and 0; and the line that leads to
+// the next one.
 typedef struct {
     double at[3][CORNERS]; // in units, from the low corner of the triangle's first voxel
-    uchar on[CORNERS], with[CORNERS], line[CORNERS];
+    int what[CORNERS];
     int n;
 } polygon;
+
+#define WHAT(line, plane, next) ((line) | (plane) << 4 | (next) << 8)
+#define NEXT(what) ((what) >> 8)
 
 #ifdef WIDE
 double to_double(wide a)
@@ -48,10 +51,11 @@ double to_double(wide a)
 double to_double(wide a) { return (double)a; }
 #endif
 
-// How far the point where a line meets a plane lies beyond a bound along an axis, in units: x / y, with
-// y > 0. Both are whole numbers that are rounded once, so that the sign of x is exact.
-double2 beyond(const clipped *t, int line, int plane, int axis, int bound)
+// How far a corner lies beyond a bound along an axis, in units: x / y, with y > 0. Both are whole numbers
+// that are rounded once, so that the sign of x is exact.
+double2 beyond(const clipped *t, int what, int axis, int bound)
 {
+    const int line = what & 15, plane = what >> 4 & 15;
     if (plane < SIDES)
         return (double2)((double)(t->v[line][axis] - bound), 1.0);
     const int a = (plane - SIDES) >> 1, b = (line - SIDES) >> 1; // the planes' axes
@@ -78,7 +82,7 @@ double2 beyond(const clipped *t, int line, int plane, int axis, int bound)
 double distance_of(const clipped *t, const polygon *p, int i, int axis, int bound)
 {
     const double rounded = p->at[axis][i] - bound;
-    return fabs(rounded) > DOUBTFUL ? rounded : beyond(t, p->on[i], p->with[i], axis, bound).x;
+    return fabs(rounded) > DOUBTFUL ? rounded : beyond(t, p->what[i], axis, bound).x;
 }
 
 // Keep what lies on one side of a plane of the voxel: at least at the low one, at most at the high one.
@@ -90,22 +94,19 @@ void cut(const clipped *t, const polygon *p, int plane, polygon *kept)
     int n = 0;
     for (int i = 0; i < p->n; ++i) {
         const double next = i + 1 < p->n ? distance_of(t, p, i + 1, axis, bound) * sign : first;
-        const int line = p->line[i];
+        const int what = p->what[i], line = NEXT(what);
         if (here >= 0) {
             for (int k = 0; k < 3; ++k)
                 kept->at[k][n] = p->at[k][i];
-            kept->on[n] = p->on[i];
-            kept->with[n] = p->with[i];
-            kept->line[n++] = here > 0 || next >= 0 ? line : SIDES + plane;
+            kept->what[n++] = here > 0 || next >= 0 ? what : WHAT(what & 255, 0, SIDES + plane);
         }
         if ((here < 0 && next > 0) || (here > 0 && next < 0)) {
+            const int made = WHAT(line, SIDES + plane, here < 0 ? line : SIDES + plane);
             for (int k = 0; k < 3; ++k) {
-                const double2 at = beyond(t, line, SIDES + plane, k, 0);
+                const double2 at = beyond(t, made, k, 0);
                 kept->at[k][n] = at.x / at.y;
             }
-            kept->on[n] = line;
-            kept->with[n] = SIDES + plane;
-            kept->line[n++] = here < 0 ? line : SIDES + plane;
+            kept->what[n++] = made;
         }
         here = next;
     }
@@ -220,8 +221,7 @@ __kernel void add_parts(TRIANGLES, const int kind, const uint turned, ACTIVE_SET
         whole.at[0][i] = v.x;
         whole.at[1][i] = v.y;
         whole.at[2][i] = v.z;
-        whole.on[i] = whole.line[i] = i;
-        whole.with[i] = 0;
+        whole.what[i] = WHAT(i, 0, i);
     }
     vstore3(normal, 0, own.normal);
     uint3 cell = (uint3)(UNTOUCHED);
