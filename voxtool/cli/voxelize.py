@@ -28,7 +28,7 @@ from voxtool.errors import MemoryLimitError, OnePieceError, human
 from voxtool.files.formats import EXPORTS, MERGED_FORMATS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from voxtool.grid import Grid
     from voxtool.svo.merged import MergedOctree
@@ -316,7 +316,9 @@ def report_line(octree: Octree | BlockOctree | MergedOctree) -> str:
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     volumes = volumes_of(octree)
     named = {"volume": "; volume", "mesh_volume": ", of the mesh"}
-    volume = "".join(f"{text} {volumes[name]:.12g}" for name, text in named.items() if name in volumes)
+    volume = "".join(
+        f"{text} {volumes[name]:.12g}" for name, text in named.items() if name in volumes
+    )
     return (
         f"{octree.mode}{filled}, dim {octree.grid.dim}, pitch {pitch_of(octree.grid)}; "
         f"{octree.count:,} voxels in {size}{volume}"

@@ -1,5 +1,5 @@
-"""Fractions of meshes that no lattice holds: against rational arithmetic of the mesh as it is, and of
-that on the lattice, volumes of thin plates, and exact sums."""
+"""Fractions of meshes that no lattice holds: against rational arithmetic, of the mesh and of the mesh
+on its lattice, volumes of thin plates, and exact sums."""
 
 from __future__ import annotations
 
