@@ -120,7 +120,7 @@ def _fills(
         if solid:
             method = f"solid, {fill}" + (f" ({octree.fill})" if fill == "auto" else "")
             rule, chosen = {"fills": fill}, octree.fill if job.mesh is mesh else chosen
-        else:
+        elif against.samples:
             figures["by the lattice"] = lattice_share(mesh, grid, octree, bench.timed)
         if outer is not None:
             figures["outer surface"] = share_of(outer, octree, bench.timed).permille / 1000

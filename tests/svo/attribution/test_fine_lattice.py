@@ -1,4 +1,4 @@
-"""Fractions of meshes that no lattice holds: against rational arithmetic, of the mesh and of the mesh
+"""Fractions of meshes that no lattice holds: against rational arithmetic, of the mesh and of that
 on its lattice, volumes of thin plates, and exact sums."""
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def test_thin_plates_keep_their_volume(device, thickness: float) -> None:
 
 
 def test_fractions_add_up_to_the_volume_on_the_lattice(device) -> None:
-    """Exactly, but for the rounding of each cut voxel's share to 2**-31."""
+    """To the rounding of each cut voxel's share to 2**-31."""
     rng = np.random.default_rng(4)
     for vertices, faces in (meshes.icosphere(3, 0.0, 17.3), meshes.torus(0.0, 11, 6.1)):
         mesh = meshes.mesh_of(vertices @ turned(rng).T + 21.234, faces)

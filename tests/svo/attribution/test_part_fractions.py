@@ -106,7 +106,9 @@ def test_command(here, device) -> None:
     volumes = [6.75 * 7.75**2, 6.5 * 7.75**2]
     assert made["volume"] == sum(volumes)
     assert "mesh_volume" not in made
-    assert f"; volume {sum(volumes):.12g}," in run(f"{line} -o both.svo.h5").stderr
+    printed = run(f"{line} -o both.svo.h5 -v").stderr
+    assert f"; volume {sum(volumes):.12g}," in printed
+    assert "vertices rounded to 2^-20 of a voxel\n" in printed
     assert set(made["attributes"]) == {"label", "fraction"}
     info = told("svo-info both.svo.h5 --json")
     assert [row["volume"] for row in info["attributes"]["label"]["labels"]] == volumes

@@ -1,4 +1,4 @@
-"""How much of each voxel lies inside a solid: exact but for rounding to whole numbers.
+"""How much of each voxel lies inside a solid, of the mesh on the finest lattice of its grid.
 
 Along a row of voxels, towards high x, triangles begin and end the inside. By the divergence
 theorem, the volume of a voxel that is inside is the sum, over the parts of triangles in it, of the
@@ -11,7 +11,8 @@ triangle touches:
 
 1. Touched voxels: those of the 26-separating surface, numbered in the order of the bits.
 2. Parts: each triangle is clipped to columns of voxels, and its part in a column to the voxels
-   there, in float64; area and volume are rounded to 2**-40 and added in integers.
+   there. Integers decide what lies where, and corners are rounded once, to float64. Area and volume
+   are rounded to 2**-40 and added in integers.
 3. Sums along rows (fraction_rows.py): each gives the volumes of its touched voxels, rounded to
    2**-31; on request rows along x, y and z give the areas of their faces, too.
 
@@ -99,7 +100,7 @@ def check_type(kind: str) -> None:
 
 
 def lattice_row(bits: int) -> tuple[str, str]:
-    """Return the name and the text of a lattice, which `--plan` prints."""
+    """Return the name and the text of the row that `--plan` prints of a lattice."""
     return "lattice", f"vertices are rounded to 2^-{bits} of a voxel"
 
 
