@@ -150,6 +150,17 @@ def test_fractions_add_up_to_the_volume_on_the_lattice(device) -> None:
         assert float(error) < 8 * len(own) ** 0.5 / WHOLE  # roundings are independent
 
 
+def test_a_mesh_on_the_coarse_lattice_has_the_same_fractions_on_both(device) -> None:
+    """By 64-bit integers, as where a mesh reaches millions of voxels, and by 128-bit ones."""
+    vertices, faces = meshes.icosphere(2, 8.1, 7.3)
+    mesh = meshes.mesh_of(meshes.fixed(vertices) / 256, faces)
+    options = {"fill": "parity", "faces": True, "device": device}
+    coarse = plan_fractions(mesh, grid((16, 16, 16)), bits=FIXED_POINT_BITS, **options)
+    fine = plan_fractions(mesh, grid((16, 16, 16)), **options)
+    assert (coarse.plan.solid.wide, fine.plan.solid.wide) == (False, True)
+    assert coarse.run().digest() == fine.run().digest()
+
+
 def test_the_lattice_of_a_plan(device) -> None:
     mesh = meshes.mesh_of(*meshes.box(1.0, 7))
     for dim, bits in ((8, 20), (512, 20), (513, 19), (1024, 19), (4096, 17), (65536, 13)):
