@@ -55,6 +55,18 @@ MUTATIONS: dict[str, Mutation] = {
         "(long)c->low.z * VOXEL + HALF - 1 - u.x,",
         "tests/svo/fill tests/svo/test_voxelize.py",
     ),
+    "corners on edges of voxels": Mutation(
+        "kernels/svo/attribution/fraction.cl",
+        "slope < 0 ? (double2)(over, -slope)",
+        "slope < 0 ? (double2)(-over, -slope)",
+        "tests/svo/attribution/test_fine_lattice.py",
+    ),
+    "a lattice of each bar's own": Mutation(
+        "voxtool/tiles/fractions.py",
+        '"bits": plan.solid.bits, ',
+        "",
+        "tests/tiles/test_attributes.py",
+    ),
     "the last of crossings at a voxel": Mutation(
         "kernels/svo/fill/crossings.cl",
         "nonzero ? number != 0 : number > 0",

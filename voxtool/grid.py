@@ -1,8 +1,8 @@
 """The grid: world coordinates <-> grid units <-> fixed point.
 
 Voxel (i, j, k) is the closed cube [i, i+1] x [j, j+1] x [k, k+1] in grid units, its centre at
-+0.5; world = origin + pitch * grid. Vertices are rounded once to 1/256 voxel, and everything
-after that is integer arithmetic.
++0.5; world = origin + pitch * grid. Vertices are rounded once to 1/256 voxel, or for fractions to a
+finer lattice, and everything after that is integer arithmetic.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
 
 FIXED_POINT_BITS = 8  # a voxel is 2**8 units of the fixed-point lattice
+FINEST_BITS = 20  # on the finest lattice: a variant of the kernels for all dims up to 512
+COORDINATE_BITS = 29  # of coordinates there, so that products of their differences fit 64 bits
 FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bits
 DEFAULT_MARGIN = 4
 MOST = 1e90  # extent; volumes are in the range of float64
@@ -178,18 +180,30 @@ class Grid:
         origin = (o + p * int(n) for o, p, n in zip(self.origin, self.pitch, low, strict=True))
         return Grid(tuple(shape), tuple(origin), self.pitch)  # pyright: ignore[reportArgumentType]
 
-    def to_fixed(self, points: np.ndarray) -> np.ndarray:
+    def finest_bits(self, points: np.ndarray) -> int:
+        """Return the bits b of the finest lattice, of 2**-b voxel, for the grid and some (N, 3)
+        world points: 20 as far as they reach 512 voxels from its corner, one less each time that
+        this doubles, and not less than the 8 of voxels."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            farthest = np.abs((np.asarray(points, np.float64) - self.origin) / self.pitch).max()
+        reach = math.ceil(min(max(farthest, self.dim), 1 << COORDINATE_BITS))
+        bits = COORDINATE_BITS - (reach - 1).bit_length()
+        return max(min(bits, FINEST_BITS), FIXED_POINT_BITS)
+
+    def to_fixed(self, points: np.ndarray, bits: int = FIXED_POINT_BITS) -> np.ndarray:
         """Return world points rounded to the fixed-point lattice, ties to even.
 
         Parameters
         ----------
         points : (N, 3) float64
             Points in world units.
+        bits : int
+            A voxel is 2**bits units of the lattice.
 
         Returns
         -------
         (N, 3) int32
-            Coordinates from the grid's low corner, in 1/256 voxel.
+            Coordinates from the grid's low corner, in 2**-bits voxel.
 
         Raises
         ------
@@ -199,7 +213,7 @@ class Grid:
         with np.errstate(over="ignore", invalid="ignore"):
             scaled = np.asarray(points, np.float64) - self.origin
             scaled /= self.pitch
-            scaled *= 1 << FIXED_POINT_BITS
+            scaled *= 1 << bits
             np.rint(scaled, out=scaled)
         if scaled.size and not (
             scaled.min() >= -FIXED_POINT_LIMIT and scaled.max() <= FIXED_POINT_LIMIT
@@ -207,7 +221,7 @@ class Grid:
             inside = (np.abs(scaled) <= FIXED_POINT_LIMIT).all(axis=-1)
             raise GridError(
                 f"vertex {int(np.argmin(inside))} lies more than "
-                f"{FIXED_POINT_LIMIT >> FIXED_POINT_BITS} voxels from the grid's corner: "
+                f"{FIXED_POINT_LIMIT >> bits} voxels from the grid's corner: "
                 "choose a larger pitch or a nearer box"
             )
         return aligned(scaled, np.int32)

@@ -14,12 +14,12 @@ __kernel void survey(__global const int *vertices, __global const int *faces, co
     ulong extent = 0, before = 0, outside = 0;
     ulong3 areas = 0;
     // the high end of blocks of level-1 nodes, which are widened by half a voxel along x
-    const int3 end = ((shape + NODE_BLOCK - 1) / NODE_BLOCK * NODE_BLOCK) * VOXEL + HALF;
+    const long3 end = convert_long3((shape + NODE_BLOCK - 1) / NODE_BLOCK * NODE_BLOCK) * VOXEL + HALF;
     for (uint i = gid; i < count; i += items) {
         const triangle t = fetch_triangle(vertices, faces, i);
         int3 low, high;
         find_bounds(&t, &low, &high);
-        if (any(high.yz < 0) || any(low > end)) {
+        if (any(high.yz < 0) || any(convert_long3(low) > end)) {
             ++outside;
             continue;
         }

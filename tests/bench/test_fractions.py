@@ -30,7 +30,10 @@ def test_errors_rise_from_fractions_to_points_to_the_solid(bench: Bench) -> None
     assert 0.1 / 65535 < found[0] < 0.5 / 65535
     assert 0.1 < found[-1] < 0.5
     volumes = {name: point.errors["volume"] for name, point in points.items()}
-    assert volumes["fractions, f4"] < 1e-8
+    assert volumes["fractions, f4"] < 1e-6
+    by_lattice = points["fractions, f4"].figures["by the lattice"]
+    assert by_lattice is not None
+    assert volumes["fractions, f4"] == pytest.approx(by_lattice, abs=1e-8)
     assert volumes["fractions and faces, f4"] == volumes["fractions, f4"]
     assert points["fractions and faces, f4"].bytes > points["fractions, f4"].bytes
     assert volumes["fractions, f4"] < volumes["1,000 points a voxel"] < volumes["binary solid"]

@@ -36,7 +36,7 @@ from voxtool.bench.references import Reference, capped, voxels_of_peer
 from voxtool.bench.request import Request
 from voxtool.bench.sweep import sweep
 from voxtool.bench.tables import absent_of, tables_of
-from voxtool.bench.voxels import boundary
+from voxtool.bench.voxels import boundary, lattice_share
 from voxtool.errors import FileError, VoxtoolError, VoxtoolWarning
 from voxtool.files import write_mesh
 from voxtool.grid import Grid
@@ -45,7 +45,7 @@ from voxtool.mesh.topology import check_topology, volume
 from voxtool.opencl import list_devices
 from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelize import plan_voxelize, voxelize
 
 HOSTILE = """<script src="http://x.example/a.js">alert(1)</script>"'&$x_$=1\x1b[31m\n.obj"""
 
@@ -441,6 +441,16 @@ def test_without_samples_voxels_are_timed_and_their_errors_left_out(
     assert timed.absent.keys() == measured.errors.keys() | measured.absent.keys()
     assert "--samples 0" in timed.absent["volume"]
     assert "outer surface" in measured.figures.keys() - timed.figures.keys()
+
+
+def test_the_share_of_a_surface_that_rounding_changes(device) -> None:
+    """None of a mesh whose vertices are on the lattice."""
+    grid = Grid((40,) * 3, (0, 0, 0), (1, 1, 1))
+    vertices, faces = meshes.icosphere(3, 20.1, 17.3)
+    for moved, low, high in ((vertices, 1e-4, 3e-3), (meshes.fixed(vertices) / 256, 0, 0)):
+        mesh = mesh_from_arrays(moved, faces)
+        octree = voxelize(mesh, grid, "surface26", device=device)
+        assert low <= lattice_share(mesh, grid, octree, device) <= high
 
 
 def test_open_models_are_capped(device) -> None:

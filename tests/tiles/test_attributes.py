@@ -237,6 +237,21 @@ def test_fractions_that_faces_do_not_bound(seed: int, fill: str, check) -> None:
     assert job.whole.disagreements
 
 
+@pytest.mark.parametrize("axis", [1, 2])
+def test_fractions_of_plates_in_the_sides_of_bars(axis: int, check) -> None:
+    """Thin plates that leave the side between two bars by some units of the lattice, which a box
+    beyond the grid makes coarser for all bars."""
+    rng, plates = np.random.default_rng(axis), [meshes.box(600, 601)]
+    for at in (64, 128):
+        vertices, faces = meshes.box([3, 3, at], [187, 190, at])
+        vertices = vertices * 2**20 + rng.integers(-9, 10, vertices.shape)
+        vertices[:, 2] += 300 * meshes.box(0, 1)[0][:, 2]
+        plates.append((np.roll(vertices, axis - 2, axis=1) / 2**20, faces))
+    mesh = meshes.mesh_of(*meshes.join(*plates))
+    plan = partial(plan_fractions, mesh, lattice_grid((200, 200, 200)), fill="parity", faces=True)
+    assert check(plan).whole.plan.solid.bits == 19
+
+
 @pytest.mark.parametrize(("seed", "kind"), [(0, "f4"), (1, "u1")])
 def test_fractions_of_parts(seed: int, kind: str, check) -> None:
     mesh, parts = boxes(seed, 9)

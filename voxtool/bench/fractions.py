@@ -35,8 +35,8 @@ TOO_LARGE = {"rms": f"voxels are compared up to dim {SAMPLED_DIM}"}
 
 def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model: fractions of each type, and of faces, points and the solid; the root
-    mean square of the errors of cut voxels, and the error of the volume, of that of the mesh on its
-    lattice."""
+    mean square of the errors of cut voxels, and the error of the volume. Of fractions, the figure
+    "by the lattice" is the share of the volume that rounding of the vertices changes."""
     mesh = load_mesh(bench.model)
     for dim in bench.request.dims:
         grid = Grid.fit(mesh, dim)
@@ -51,18 +51,19 @@ def measure(bench: Bench) -> Iterator[Point]:
         for kind, faces in (*((kind, False) for kind in FRACTION_TYPES), (FRACTION_TYPES[0], True)):
             plan = partial(plan_fractions, mesh, grid, kind=kind, faces=faces)
             made = plan(device=bench.timed).run()
-            errors = {"volume": volume_error(stored_volume(made), job)}
+            errors = {"volume": error_of(stored_volume(made), job)}
             if kind != FRACTION_TYPES[0] and cut:
                 errors["rms"] = rms(dense_of(made)[cut], exact)
             yield row(
                 f"fractions{' and faces' * faces}, {kind}",
                 run=lambda device, plan=plan: plan(device=device).run(),
                 errors=errors, bytes=made.nbytes + sum(one.nbytes for one in made.attributes),
+                figures={"by the lattice": error_of(job.volumes.lattice, job)},
                 absent=REFERENCE if kind == FRACTION_TYPES[0] else {} if cut else TOO_LARGE,
             )  # fmt: skip
         plan = partial(plan_voxelize, mesh, grid, fill=octree.fill)
         solid = plan(device=bench.timed).run()
-        errors = {"volume": volume_error(solid.count, job)}
+        errors = {"volume": error_of(solid.count, job)}
         if cut:
             errors["rms"] = rms(solid.to_dense()[cut], exact)
         yield row(
@@ -72,7 +73,7 @@ def measure(bench: Bench) -> Iterator[Point]:
         if cut:
             sample = partial(sampled, mesh, grid, octree.fill, bench.timed)
             found = sample()
-            errors = {"volume": volume_error(float(found.sum()), job)}
+            errors = {"volume": error_of(float(found.sum()), job)}
             errors["rms"] = rms(found[cut], exact)
             runs = by_turns(bench.request, sample)[0]
             yield row(f"{POINTS**3:,} points a voxel", runs=runs, errors=errors, bytes=found.nbytes)
@@ -122,6 +123,6 @@ def rms(found: np.ndarray, exact: np.ndarray) -> float:
     return float(np.sqrt(np.mean((found - exact) ** 2))) if len(exact) else 0.0
 
 
-def volume_error(voxels: float, job: FractionJob) -> float:
-    """The error of a volume in voxels, of that of the mesh."""
-    return abs(voxels / job.mesh_volume - 1) if job.mesh_volume else 0.0
+def error_of(voxels: float, job: FractionJob) -> float:
+    """The error of a volume in voxels, of that of the mesh, whose vertices are not rounded."""
+    return abs(voxels / job.volumes.mesh - 1) if job.volumes.mesh else 0.0

@@ -53,7 +53,7 @@ _UNITS = {  # of further measures, in the order of their columns
     "rms in voxels": "number", "max in voxels": "number", "lipschitz": "number", "load": "share",
     "outer surface": "share", "within": "share", "within near the surface": "share",
     "bits a key": "number", "max unsigned": "number", "largest alpha": "number",
-    "times a peer": "number", "over the file": "number",
+    "by the lattice": "share", "times a peer": "number", "over the file": "number",
 }  # fmt: skip
 _COUNTS = ("triangles", "vertices", "voxels", "depth", "blocks", "over tolerance", "side of slots",
            "side of offsets", "w", "break-even", "other sign", "pixels compared",

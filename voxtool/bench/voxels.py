@@ -37,6 +37,7 @@ from voxtool.grid import Grid
 from voxtool.memory import available_memory
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.attribution.fraction import plan_fractions
+from voxtool.svo.compare import count_differences
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.shares import outer_surface, share_of
 from voxtool.svo.surface.extract import extract, plan_extract
@@ -119,6 +120,8 @@ def _fills(
         if solid:
             method = f"solid, {fill}" + (f" ({octree.fill})" if fill == "auto" else "")
             rule, chosen = {"fills": fill}, octree.fill if job.mesh is mesh else chosen
+        elif against.samples:
+            figures["by the lattice"] = lattice_share(mesh, grid, octree, bench.timed)
         if outer is not None:
             figures["outer surface"] = share_of(outer, octree, bench.timed).permille / 1000
         point = row(
@@ -135,6 +138,14 @@ def _fills(
         options = {"--dim": settings["dims"], "--mode": mode, "--fit": asked.fit, "--fill": fill}
         words = [str(word) for option in options.items() for word in option]
         yield _with_command(point, bench, "voxelize", bench.model, *words, output="out.svo.h5")
+
+
+def lattice_share(mesh: Mesh, grid: Grid, octree: Octree, device: Device) -> float:
+    """The share of the voxels of a surface that rounding to 1/256 voxel changes: those that differ
+    from the set of the mesh on the finest lattice."""
+    bits = grid.finest_bits(mesh.bounds)
+    fine = plan_voxelize(mesh, grid, octree.mode, bits=bits, device=device).run()
+    return sum(count_differences(octree, fine)) / max(fine.count, 1)
 
 
 def _first_run(mesh: Mesh, grid: Grid, mode: str, fill: str, device: Device) -> float:

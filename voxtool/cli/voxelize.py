@@ -28,7 +28,7 @@ from voxtool.errors import MemoryLimitError, OnePieceError
 from voxtool.files.formats import EXPORTS, MERGED_FORMATS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from voxtool.grid import Grid
     from voxtool.svo.merged import MergedOctree
@@ -215,7 +215,8 @@ def command(
                 run.write(export, octree)
             else:
                 run.write(write_svo, octree, doctype=doctype)
-    run.report(report_line(octree, run.size), lambda: facts_of(octree))
+    details = details_of(octree) if run.verbose else ()
+    run.report(report_line(octree, run.size), lambda: facts_of(octree), details)
 
 
 def check_attributes(names: Sequence[str], others: dict[str, bool]) -> None:
@@ -296,17 +297,32 @@ def attributes_of(octree: Any) -> dict[str, Any]:
 
 
 def volumes_of(octree: Any) -> dict[str, float]:
-    """Return the volume of an octree with fractions, and that of its mesh if it is one solid, in
-    cubic world units."""
+    """Return the volume of an octree with fractions and, if it is of one solid, those of its mesh
+    and of the mesh on the lattice, in cubic world units."""
     if octree.mode != f"solid+{FRACTION}":
         return {}
-    from voxtool.svo.attribution.fraction import MESH_VOLUME
+    from voxtool.svo.attribution.fraction import LATTICE_VOLUME, MESH_VOLUME
     from voxtool.svo.stored_volume import stored_volume
 
     voxels = {"volume": stored_volume(octree)}
-    if MESH_VOLUME in octree.plan:
-        voxels["mesh_volume"] = octree.plan[MESH_VOLUME]
+    for name, key in (("mesh_volume", MESH_VOLUME), ("lattice_volume", LATTICE_VOLUME)):
+        if key in octree.plan:
+            voxels[name] = octree.plan[key]
     return {name: number * octree.grid.voxel_volume for name, number in voxels.items()}
+
+
+def details_of(octree: Any) -> Iterator[str]:
+    """Yield what -v says of an octree with fractions: its lattice, and what this changed."""
+    volumes = volumes_of(octree)
+    if not volumes:
+        return
+    from voxtool.svo.attribution.fraction import LATTICE_BITS
+
+    text = f"vertices rounded to 2^-{octree.plan[LATTICE_BITS]} of a voxel"
+    if volumes.get("mesh_volume"):
+        change = abs(volumes["lattice_volume"] / volumes["mesh_volume"] - 1)
+        text += f", which changes the mesh's volume by {change:.1e} of it"
+    yield text
 
 
 def report_line(octree: Octree | BlockOctree | MergedOctree, size: str) -> str:
@@ -314,7 +330,9 @@ def report_line(octree: Octree | BlockOctree | MergedOctree, size: str) -> str:
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     volumes = volumes_of(octree)
     named = {"volume": "; volume", "mesh_volume": ", of the mesh"}
-    volume = "".join(f"{named[name]} {number:.12g}" for name, number in volumes.items())
+    volume = "".join(
+        f"{text} {volumes[name]:.12g}" for name, text in named.items() if name in volumes
+    )
     return (
         f"{octree.mode}{filled}, dim {octree.grid.dim}, pitch {pitch_of(octree.grid)}; "
         f"{octree.count:,} voxels in {size}{volume}"

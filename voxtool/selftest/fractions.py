@@ -9,31 +9,30 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.grid import FINEST_BITS, Grid
 from voxtool.mesh.mesh import mesh_from_arrays
+from voxtool.mesh.topology import volume
 from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
-from voxtool.svo.attribution.fraction import plan_fractions, volume_in_units
+from voxtool.svo.attribution.fraction import plan_fractions
 from voxtool.svo.layout import BRICK_VOXELS
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
     from voxtool.svo.octree import Octree
 
-UNIT = 1 << FIXED_POINT_BITS
+UNIT = 1 << FINEST_BITS  # a voxel: vertices are in units of the finest lattice
 SHAPE = (12, 10, 11)
 COMPARED = 8, 200  # voxels of a mesh, in the short and in the full self-test
-# n parts of triangles D voxels long err by n (2^-41 + 2^-45 D), and float32 by 2^-25: for 16 parts
+# n parts of triangles D voxels long err by n (2^-41 + 2^-46 D), and float32 by 2^-25: for 16 parts
 # of a needle of 4,000 voxels
-BOUND = 16 * (2.0**-41 + 2.0**-45 * 4000) + 2.0**-25 + 2.0**-31
-# and of a face, which 16 triangles cross, by 2^-48 D / s each, too: at angles with a sine s of 1/16
-FACE_BOUND = BOUND + 16 * 2.0**-48 * 4000 * 16
+BOUND = 16 * (2.0**-41 + 2.0**-46 * 4000) + 2.0**-25 + 2.0**-31
 
 
 def made(
     device: Device, vertices: np.ndarray, faces: np.ndarray, scale: float
 ) -> tuple[Octree, np.ndarray, np.ndarray, np.ndarray]:
-    """The octree of a mesh, whose vertices are in 1/256 voxel; the voxels of its bricks, their
+    """The octree of a mesh, whose vertices are in 1 / UNIT voxel; the voxels of its bricks, their
     fractions, and the shares of their faces."""
     mesh = mesh_from_arrays(np.asarray(vertices, np.float64) / UNIT * scale, faces)
     grid = Grid(SHAPE, (0.0, 0.0, 0.0), (scale, scale, scale))
@@ -57,7 +56,7 @@ def worst(device: Device, vertices: np.ndarray, faces: np.ndarray, scale: float,
     order = np.argsort((shares > 0) & (shares < 1), kind="stable")[::-1]
     error = 0.0
     for cell, share in zip(cells[order][:n].tolist(), shares[order][:n].tolist(), strict=True):
-        exact = inside(oracles.filled(vertices[faces], cell))
+        exact = inside(oracles.filled(vertices[faces], cell, UNIT))
         if (share > 0) != (exact >= Fraction(1, 1 << 32)):
             return np.inf
         error = max(error, abs(float(Fraction(share) - exact)))
@@ -70,43 +69,46 @@ def worst_face(
     """The largest error of the faces of n of the set voxels, cut ones first."""
     _, cells, shares, found = made(device, vertices, faces, scale)
     order = np.argsort((shares > 0) + 0.5 * (found % 1 > 0).any(axis=1), kind="stable")[::-1]
-    turned = volume_in_units(vertices.astype(np.int32), faces) < 0
+    turned = volume(mesh_from_arrays(vertices.astype(np.float64), faces)) < 0
     error = 0.0
     for at in order[: min(n, int((shares > 0).sum()))].tolist():
         for axis, high in product(range(3), range(2)):
             cell = cells[at].copy()
             cell[axis] += high
-            exact = inside(oracles.filled_face(vertices[faces], cell.tolist(), axis, turned))
+            place = cell.tolist(), axis, turned, UNIT
+            exact = inside(oracles.filled_face(vertices[faces], *place))
             error = max(error, abs(float(Fraction(found[at, 2 * axis + high]) - exact)))
     return error
 
 
-@case("fractions of voxels", "needles, slivers, faces on voxel faces, 1e12: rational arithmetic",
+@case("fractions of voxels", "needles, plates, faces on voxel faces, 1e12: rational arithmetic",
       "of a voxel", BOUND)  # fmt: skip
 def fractions(device: Device, full: bool) -> float:
     return max(worst(device, *mesh, COMPARED[full]) for mesh in stiff_meshes())
 
 
-@case("faces of voxels", "needles, slivers, faces on voxel faces, 1e12: rational arithmetic",
-      "of a face", FACE_BOUND)  # fmt: skip
+@case("faces of voxels", "needles, plates, faces on voxel faces, 1e12: rational arithmetic",
+      "of a face", BOUND)  # fmt: skip
 def faces(device: Device, full: bool) -> float:
     return max(worst_face(device, *mesh, COMPARED[full]) for mesh in stiff_meshes())
 
 
 def stiff_meshes() -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
-    """Yield vertices in 1/256 voxel, faces, and the size of a voxel."""
+    """Yield vertices in 1 / UNIT voxel, faces, and the size of a voxel."""
     random = np.random.default_rng(8)
-    middle = UNIT * np.array(SHAPE) // 2
+    middle, small = UNIT * np.array(SHAPE) // 2, UNIT // 256
     for aspect in (1000, 1_000_000):
         way = random.normal(size=3)
         way = np.rint(way / np.abs(way).max() * aspect).astype(np.int64)
-        start = middle - way // 3
-        corners = start + np.stack([0 * way, np.array([1, 0, 0]), np.array([0, 1, 1]), way])
+        across = np.stack([0 * way, np.array([1, 0, 0]), np.array([0, 1, 1]), way])
+        corners = middle + (across - way // 3) * small
         yield corners, np.asarray(shapes.TETRAHEDRON_FACES), 1.0
     box = shapes.box(UNIT * np.array([2, 3, 1]), UNIT * np.array([7, 7, 7]))
     low = UNIT * np.array([9, 3, 1])
-    sliver = shapes.box(low, low + np.array([1, 5 * UNIT, 3]))
+    sliver = shapes.box(low, low + np.array([small, 5 * UNIT, 3 * small]))
     yield *shapes.join(box, sliver), 1.0
+    plate, faces = shapes.box(UNIT * np.array([1, 1, 4]), UNIT * np.array([11, 9, 4]) + [0, 0, 70])
+    yield plate + random.integers(-20, 21, plate.shape), faces, 1.0
     ball, faces = shapes.ball(1)
     corners = np.rint((np.asarray(ball, np.float64) * 4.4 + 5.1) * UNIT).astype(np.int64)
     yield corners, faces, 1e12

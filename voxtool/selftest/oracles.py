@@ -237,14 +237,15 @@ def _root(square: Fraction) -> float:
     return float(Fraction(scaled, square.denominator * scale))
 
 
-def filled(triangles: Iterable, cell: Sequence[int]) -> Fraction:
-    """The integral of the winding number over a voxel: how much of it lies inside a closed mesh.
+def filled(triangles: Iterable, cell: Sequence[int], unit: int = UNIT) -> Fraction:
+    """The integral of the winding number over a voxel: how much of it lies inside a closed mesh,
+    whose vertices are in 1/unit voxel.
 
     The mesh is the signed sum of the tetrahedra between a point and its triangles. Each is clipped
     to the voxel as a set of tetrahedra."""
     total = Fraction(0)
     for triangle in polygons(triangles):
-        corners = [[Fraction(v, UNIT) - c for v, c in zip(p, cell, strict=True)] for p in triangle]
+        corners = [[Fraction(v, unit) - c for v, c in zip(p, cell, strict=True)] for p in triangle]
         parts = [[[Fraction(0)] * 3, *corners]]
         volume = _six_volumes(parts[0])
         for axis, side, bound in product(range(3), (1, -1), (0, 1)):
@@ -256,15 +257,15 @@ def filled(triangles: Iterable, cell: Sequence[int]) -> Fraction:
 
 
 def filled_face(
-    triangles: Iterable, cell: Sequence[int], axis: int, turned: bool = False
+    triangles: Iterable, cell: Sequence[int], axis: int, turned: bool = False, unit: int = UNIT
 ) -> Fraction:
     """The integral of the winding number over the face between a voxel and the one before it along
     an axis: the signed area of all that lies before it. Of what lies in its plane, that counts
-    which ends the inside; `turned`: of a mesh that is inside out."""
+    which ends the inside; `turned`: of a mesh that is inside out. Vertices are in 1/unit voxel."""
     total = Fraction(0)
     p, q = (axis + 1) % 3, (axis + 2) % 3
     for triangle in polygons(triangles):
-        part = [[Fraction(v, UNIT) - c for v, c in zip(p, cell, strict=True)] for p in triangle]
+        part = [[Fraction(v, unit) - c for v, c in zip(p, cell, strict=True)] for p in triangle]
         flat = all(corner[axis] == 0 for corner in part)
         for along, side, bound in ((axis, -1, 0), (p, 1, 0), (p, -1, 1), (q, 1, 0), (q, -1, 1)):
             part = _half(part, along, side, bound)

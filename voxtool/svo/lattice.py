@@ -1,7 +1,7 @@
 """A mesh on the fixed-point lattice of a grid, on the device.
 
-Vertices are rounded once to 1/256 voxel; everything after that is integer arithmetic. Kernel:
-kernels/svo/lattice.cl.
+Vertices are rounded once to 1/256 voxel, or for fractions to a finer lattice; everything after that
+is integer arithmetic. Kernel: kernels/svo/lattice.cl.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class LatticeMesh:
 
     device: Device
     grid: Grid
-    fixed: np.ndarray  # (V, 3) int32 vertices, in 1/256 voxel
+    bits: int  # a voxel is 2**bits units
+    fixed: np.ndarray  # (V, 3) int32 vertices, in units
     vertices: Array  # the same on the device
     faces: Array  # of the mesh, then of the caps
     triangles: int  # faces of the mesh, without caps
@@ -41,14 +42,19 @@ class LatticeMesh:
         n = self.closed.size // 3
         return replace(self, faces=self.closed, triangles=n, closing=None, caps=None)
 
+    @property
+    def options(self) -> dict[str, int | str]:
+        """The option of kernels that says what a unit is, where it is not 1/256 voxel."""
+        return {} if self.bits == FIXED_POINT_BITS else {"FIXED_POINT_BITS": self.bits}
+
     def survey(self) -> Survey:
         """Return the numbers from which a plan is made."""
         n = self.faces.size // 3
         partial = self.device.empty(6 * SURVEY_ITEMS, np.uint64)
-        survey = self.device.kernel(SOURCE, "survey")
+        survey = self.device.kernel(SOURCE, "survey", **self.options)
         survey(SURVEY_ITEMS, self.vertices, self.faces, n, self.grid.shape, partial)
         parts = partial.get().reshape(-1, 6)
-        units = 1 << FIXED_POINT_BITS
+        units = 1 << self.bits
         x, y, z = (int(v) / (2 * units) for v in parts[:, 1:4].sum(axis=0))
         return Survey(
             triangles=n,
@@ -67,18 +73,19 @@ def place_mesh(
     some: np.ndarray | None,
     boundary: Boundary | None,
     device: Device,
+    bits: int = FIXED_POINT_BITS,
 ) -> LatticeMesh:
-    """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window, with
-    caps if their boundary is given; raise GridError if a vertex lies too far from the grid's
-    corner."""
+    """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window, of
+    2**-bits voxel, with caps if their boundary is given; raise GridError if a vertex lies too far
+    from the grid's corner."""
     try:
-        fixed = grid.to_fixed(mesh.vertices)
+        fixed = grid.to_fixed(mesh.vertices, bits)
     except GridError:  # vertices that no face uses may lie anywhere
-        fixed = grid.to_fixed(_used_vertices(mesh))
+        fixed = grid.to_fixed(_used_vertices(mesh), bits)
     if window is not None:
         low, shape = window
         grid = grid.window(low, shape)
-        fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
+        fixed -= np.asarray(low, np.int32) << bits
     own = mesh.faces if some is None else mesh.faces[some]
     caps = None if boundary is None else find_caps(fixed, boundary)
     faces = device.view(own if caps is None else np.concatenate([own, caps.faces]))
@@ -89,7 +96,7 @@ def place_mesh(
         if len(kept) < len(caps.faces):
             closed = device.put(np.concatenate([own[~boundary.alone], kept]))
     vertices = device.view(fixed)
-    return LatticeMesh(device, grid, fixed, vertices, faces, len(own), closed, closing, caps)
+    return LatticeMesh(device, grid, bits, fixed, vertices, faces, len(own), closed, closing, caps)
 
 
 def _used_vertices(mesh: Mesh) -> np.ndarray:

@@ -33,7 +33,9 @@ HEADERS = {
         [
             program.c_struct("svo_node", NODE),
             program.c_constants(INSIDE=INSIDE, VALID=VALID, LINK=LINK),
+            "#ifndef FIXED_POINT_BITS // an option, on a finer lattice",
             f"#define FIXED_POINT_BITS {FIXED_POINT_BITS}",
+            "#endif",
         ]
     )
 }

@@ -9,6 +9,7 @@ from operator import attrgetter
 from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
+from voxtool.grid import FIXED_POINT_BITS
 from voxtool.job import Cost
 from voxtool.svo.connected.about import CONNECTED, RULE
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
@@ -29,6 +30,7 @@ COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 # Fields that are given.
 REQUEST = (
     "mode", "fill", "gap", "holes", "caps", "flooded", "choice", "inside", "checked", "connected",
+    "bits",
 )  # fmt: skip
 COMPARISON = "comparison of fill rules"  # a stage
 
@@ -71,6 +73,7 @@ class VoxelizePlan:
     checked: bool = False  # whether parts overlap is found out as it runs
     connected: bool = False  # thin parts stay in one piece
     slabs: int = 1  # in which it is flooded, one after the other
+    bits: int = FIXED_POINT_BITS  # a voxel is 2**bits units of the lattice
     seeds: int = 0  # nodes that are refined at the faces of a window that is flooded
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
     crowd: int = CROWD  # leaves of caps that may be near a voxel
@@ -341,7 +344,7 @@ def plan_of(survey: Survey, shape: tuple[int, int, int], **request: Any) -> Voxe
         side=side,
         **request,
         surface="6" if mode == "surface6" else "26" * ("26" in mode or fill == "flood"),
-        wide=survey.extent > NARROW_EXTENT,
+        wide=survey.extent > NARROW_EXTENT or request.get("bits", 0) > FIXED_POINT_BITS,
         code_bits=32 if side <= CODE_32_SIDE else 64,
         blocked=side > DENSE_SIDE,
         entry=solid and survey.before,

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from voxtool.errors import MemoryLimitError
-from voxtool.grid import FIXED_POINT_BITS
 from voxtool.morton import spread_bits
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
@@ -32,7 +31,6 @@ SOURCE = "svo/scan.cl"
 TOUCHED, SEPARATING, CROSSED, COVERED, MET = range(5)  # what a triangle is scan-converted into
 NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, NODE_BLOCK.bit_length() - 1
 BLOCK_WORDS = (NODE_BLOCK // CELL) ** 3 // 32
-HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
 
 
 # The spread bits of each byte, for each axis.
@@ -97,6 +95,7 @@ class Scan:
         self.options: dict[str, int | str] = {
             "CODE": code_name(self.code),
             "COLUMN_TILE": plan.column_tile,
+            **mesh.options,
             **({"WIDE": 1} if plan.wide else {}),
             **({"MORTON_TABLE": 1} if plan.morton == "table" else {}),
             **({"BASE_OVERLAP": 1} if plan.overlap == "base" else {}),
@@ -124,7 +123,7 @@ class Scan:
             "shape": tuple(-(-side >> level) for side in self.plan.shape),
             # for a solid, level-1 nodes are widened along x, so that the first voxel at or beyond
             # every crossing lies in an active node ([voCCeL], eq. 3.6)
-            "pad": HALF_VOXEL if self.plan.solid and level else 0,
+            "pad": 1 << (self.mesh.bits - 1) if self.plan.solid and level else 0,
         }
         if not (self.plan.tiled_nodes if level else self.plan.tiled):
             return n, arguments

@@ -27,7 +27,7 @@ import numpy as np
 
 from voxtool.choices import FILLS, MODES
 from voxtool.errors import GridError, VoxtoolError, count_of
-from voxtool.grid import Grid
+from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Job, one_call
 from voxtool.mesh.counts import PROGRAMS as COUNTING
 from voxtool.mesh.counts import check_topology
@@ -83,13 +83,15 @@ def plan_voxelize(
     window: Window | None = None,
     every_face: bool = False,
     closed: bool = False,
+    bits: int = FIXED_POINT_BITS,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VoxelizeJob:
     """Return the surveyed and planned job of `voxelize`; see `voxtool.voxelize`.
 
     With `every_face`, faces that repeat others are not left out: each may have its own colour. With
-    `closed`, the mesh is a part of one without holes, and its own boundary does not count.
+    `closed`, the mesh is a part of one without holes, and its own boundary does not count. The
+    lattice is of 2**-bits voxel.
     """
     if mode not in MODES:
         raise VoxtoolError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
@@ -108,6 +110,7 @@ def plan_voxelize(
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
     job.every_face, job.closed, job.connected = every_face, closed, connected
+    job.bits = bits
     if fill == "auto" and mode == "solid":
         fill, gap = job.choose()
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
@@ -149,6 +152,7 @@ class VoxelizeJob(Job[Octree]):
     connected: bool = False  # thin parts stay in one piece
     one_part: bool = False  # each connected part of the inside lies far from the others
     added: Bricks | None = None  # known once it has run: voxels that connect thin parts
+    bits: int = FIXED_POINT_BITS  # of the lattice
     surface_found: Callable[[Scan, ActiveNodes, Array], None] | None = None  # receives a surface
     _crowded: bool = False  # known once it has run
     _certain: bool = True  # False once a check has found that parts may overlap
@@ -190,7 +194,7 @@ class VoxelizeJob(Job[Octree]):
         low, shape = self._window or ((0, 0, 0), self._whole.shape)
         crossings, limit = self.plan.survey.areas[0], self.limit
         place = self._whole, tuple(low), tuple(shape), crossings, self.device, limit
-        self.differing = count_differing(inside.mesh_of(self._given), *place)
+        self.differing = count_differing(inside.mesh_of(self._given), *place, self.bits)
         if self.differing:
             self.mesh = inside.mesh_of(self._given)
             self.place(self.plan.mode, UNION, 0)
@@ -218,6 +222,7 @@ class VoxelizeJob(Job[Octree]):
             found = {"parts": inside.parts, "faces_turned": inside.turned, "why": inside.why}
             request["inside"] = *found.items(), ("voxels_parity_differs", self.differing)
         request["connected"] = self.connected
+        request["bits"] = self.bits
         plan = plan_of(survey, self.grid.shape, **request)
         self.plan = plan.in_slabs(self.limit, self.device.info.max_allocation)
 
@@ -254,7 +259,8 @@ class VoxelizeJob(Job[Octree]):
         counted = fill == "winding" and not self.closed
         boundary = net_boundary(self.mesh) if counted else None
         window = self._flooded if fill == "flood" else self._window
-        self.lattice = place_mesh(self.mesh, self._whole, window, some, boundary, self.device)
+        place = self.mesh, self._whole, window, some, boundary, self.device
+        self.lattice = place_mesh(*place, self.bits)
         return self.lattice.survey()
 
     def with_(self, **decisions: Any) -> VoxelizeJob:

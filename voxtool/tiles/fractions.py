@@ -24,8 +24,10 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.fraction import (
+    LATTICE_BITS,
     MODE,
     FractionJob,
+    Volumes,
     attributes_of,
     plan_fractions,
     without_values,
@@ -228,7 +230,7 @@ class FractionWindowsJob(BarsJob):
     whole: Any
 
     def __init__(self, whole: FractionJob) -> None:
-        self._volume = whole.mesh_volume  # which needs the mesh on the device
+        self._volumes = whole.volumes  # which need the mesh on the device
         self.axes = (1, 2, 0) if whole.plan.faces else (0,)
         super().__init__(whole)  # pyright: ignore[reportArgumentType]
 
@@ -241,7 +243,7 @@ class FractionWindowsJob(BarsJob):
         content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
         plan = self.whole.plan
         rules = {"mode": MODE, "fill": plan.solid.rule, "kind": plan.kind, "faces": plan.faces}
-        return {"content": content, **rules}
+        return {"content": content, **rules, LATTICE_BITS: plan.solid.bits}
 
     @property
     def _rule(self) -> tuple[str, str]:
@@ -258,14 +260,14 @@ class FractionWindowsJob(BarsJob):
 
     def _bar_job(self, faces: np.ndarray, box: Box) -> FractionJob | None:
         mesh = mesh_of(self.mesh, faces)
-        return fraction_job(mesh, self.grid, box, self._volume, self.device, self._options)
+        return fraction_job(mesh, self.grid, box, self._volumes, self.device, self._options)
 
     @property
     def _options(self) -> dict[str, Any]:
         """The options of each bar's voxelization."""
         plan = self.whole.plan
         rules = {"fill": plan.solid.fill, "kind": plan.kind, "faces": plan.faces}
-        return {**rules, "max_memory": self.max_memory}
+        return {**rules, "bits": plan.solid.bits, "max_memory": self.max_memory}
 
     def _prepare(self) -> None:
         """Find the shares of faces across y and z."""
@@ -300,14 +302,14 @@ def fraction_job(
     mesh: Mesh,
     grid: Grid,
     box: Box,
-    volume: float,
+    volumes: Volumes,
     device: Device,
     options: dict[str, Any],
 ) -> FractionJob | None:
-    """Return the job of a bar, given the faces that can change it and the volume of the whole mesh;
-    None if it is empty."""
+    """Return the job of a bar, given the faces that can change it and the volumes of the whole
+    mesh; None if it is empty."""
     job = plan_fractions(mesh, grid, window=box, device=device, **options)
-    job.mesh_volume = volume
+    job.volumes = volumes
     return None if sets_nothing(job.solid.plan) else job
 
 
@@ -369,7 +371,7 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
     def _free(self) -> None:
         self._volumes = {}
         for (part, _), job in zip(self.whole.plan.alone, self.whole.jobs, strict=True):
-            self._volumes[part] = job.mesh_volume  # which needs the mesh on the device
+            self._volumes[part] = job.volumes  # which need the mesh on the device
             del job.solid.lattice
 
     def _everywhere(self) -> np.ndarray:
@@ -378,7 +380,8 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
     @property
     def request(self) -> dict[str, Any]:
         """The content and the rules of the octree that is made, in JSON types."""
-        return {**super().request, "kind": self.whole.plan.kind}
+        plan = self.whole.plan
+        return {**super().request, "kind": plan.kind, LATTICE_BITS: plan.bits}
 
     @property
     def _rule(self) -> tuple[str, str]:
@@ -410,15 +413,16 @@ def part_fraction_job(
     parts: PartsOfWindows,
     faces: np.ndarray,
     box: Box,
-    volumes: dict[int, float],
+    volumes: dict[int, Volumes],
     device: Device,
     max_memory: int | None,
 ) -> PartFractionsJob | None:
     """Return the job of a bar, given the faces that can change it and the volumes of the whole
     parts; None if it is empty."""
     own, jobs, alone = parts.own.some(faces), [], []
+    plan: Any = parts.plan
     for part in own.parts.tolist():
-        options = {"fill": parts.rules[part][0], "max_memory": max_memory}
+        options = {"fill": parts.rules[part][0], "bits": plan.bits, "max_memory": max_memory}
         mesh = own.alone(part, parts.mesh)
         job = fraction_job(mesh, parts.grid, box, volumes[part], device, options)
         if job is not None:
@@ -426,7 +430,7 @@ def part_fraction_job(
             alone.append((part, ""))
     if not jobs:
         return None
-    plan: Any = replace(parts.plan, alone=tuple(alone), inner=tuple(job.plan for job in jobs))
+    plan = replace(plan, alone=tuple(alone), inner=tuple(job.plan for job in jobs))
     window = parts.grid.window(*box)
     return PartFractionsJob(
         parts.mesh, window, own, parts.ranks, None, jobs, plan, device, max_memory

@@ -108,7 +108,7 @@ class SpreadFractionJob(SpreadBarsJob, FractionWindowsJob):
         def submit(bar: Bar, place: Place | None) -> Any:
             pairs = [] if bar.axis else [self._pairs(key) for key in bar.cubes(self.grid.shape)]
             given = (send(self._faces_of_bar(bar)), self.grid, replace(bar, plan=None))
-            of = (self._volume, self._options, pairs, self.device_name, place)
+            of = (self._volumes, self._options, pairs, self.device_name, place)
             return self.client.submit(fraction_bar, *given, *of, pure=False)
 
         return submit

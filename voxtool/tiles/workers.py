@@ -17,6 +17,7 @@ from voxtool.mesh.appearance import Appearance, Material
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import shared_device
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
+from voxtool.svo.attribution.fraction import Volumes
 from voxtool.svo.attribution.labels_window import PartsOfWindows
 from voxtool.svo.fill.pieces import Shared
 from voxtool.svo.flood_window import FloodWindowJob
@@ -101,7 +102,7 @@ def fraction_bar(
     mesh: Mesh,
     grid: Grid,
     bar: Bar,
-    volume: float,
+    volumes: Volumes,
     options: dict[str, Any],
     pairs: list[list[np.ndarray]],
     device_name: str | None,
@@ -109,7 +110,7 @@ def fraction_bar(
 ) -> list[Made]:
     """Return the cubes of a bar, with shares of faces of a bar along y or z, with fractions of one
     along x, given the shares of the faces of its cubes."""
-    job = fraction_job(mesh, grid, bar.box(grid), volume, shared_device(device_name), options)
+    job = fraction_job(mesh, grid, bar.box(grid), volumes, shared_device(device_name), options)
     assert job is not None  # it was planned
     cubes = face_cubes(job, bar) if bar.axis else fraction_cubes(job, bar, pairs)
     keys = bar.cubes(grid.shape)
@@ -120,7 +121,7 @@ def part_fraction_bar(
     parts: PartsOfWindows,
     faces: np.ndarray,
     bar: Bar,
-    volumes: dict[int, float],
+    volumes: dict[int, Volumes],
     max_memory: int | None,
     device_name: str | None,
     place: Place | None,

@@ -15,64 +15,131 @@
 #define CORNERS 9 // a triangle's part in a cube has no more
 
 // ---- parts of triangles
+//
+// A part is a polygon whose corners are known by what meets there: two sides of the triangle, a side and a
+// plane between voxels, or the triangle and two such planes. So a corner's coordinate is a quotient of whole
+// numbers: it is rounded once, and where rounding could matter, whole numbers decide which side of a plane it is on.
+
+#define SIDES 3 // of the triangle: numbers below are sides, others SIDES + 2 axis + (0 low, 1 high) planes
+#define DOUBTFUL 0x1p-16 // units: coordinates are rounded by less
 
 typedef struct {
-    double at[3][CORNERS]; // in units of the lattice, from the low corner of the triangle's first voxel
+    int v[3][3];    // corners of the triangle, from the low corner of its first voxel, in units
+    long normal[3];
+    int bounds[6];  // where the planes of the voxel lie
+} clipped;
+
+// What meets in a corner: a line and a plane, or a corner of the triangle and 0; and the line that leads to
+// the next one.
+typedef struct {
+    double at[3][CORNERS]; // in units, from the low corner of the triangle's first voxel
+    int what[CORNERS];
     int n;
 } polygon;
 
-// Keep what lies on one side of a plane across an axis: at most `bound` if `side` is -1, at least if 1.
-void cut(const polygon *p, int axis, double bound, double side, polygon *kept)
+#define WHAT(line, plane, next) ((line) | (plane) << 4 | (next) << 8)
+#define NEXT(what) ((what) >> 8)
+
+#ifdef WIDE
+double to_double(wide a)
 {
+    const wide m = is_negative(a) ? wide_negative(a) : a;
+    const double magnitude = (double)m.high * 0x1p64 + (double)m.low;
+    return is_negative(a) ? -magnitude : magnitude;
+}
+#else
+double to_double(wide a) { return (double)a; }
+#endif
+
+// How far a corner lies beyond a bound along an axis, in units: x / y, with y > 0. Both are whole numbers
+// that are rounded once, so that the sign of x is exact.
+double2 beyond(const clipped *t, int what, int axis, int bound)
+{
+    const int line = what & 15, plane = what >> 4 & 15;
+    if (plane < SIDES)
+        return (double2)((double)(t->v[line][axis] - bound), 1.0);
+    const int a = (plane - SIDES) >> 1, b = (line - SIDES) >> 1; // the planes' axes
+    const int at = t->bounds[plane - SIDES];
+    if (axis == a)
+        return (double2)((double)(at - bound), 1.0);
+    if (line < SIDES) {
+        const __private int *u = t->v[line], *w = t->v[line < 2 ? line + 1 : 0];
+        const long length = (long)w[a] - u[a];
+        const long over = (long)((ulong)((long)u[axis] - bound) * (ulong)length +
+                                 (ulong)((long)w[axis] - u[axis]) * (ulong)((long)at - u[a]));
+        return length < 0 ? (double2)(-(double)over, -(double)length) : (double2)((double)over, (double)length);
+    }
+    const int other = t->bounds[line - SIDES];
+    if (axis == b)
+        return (double2)((double)(other - bound), 1.0);
+    const double over = to_double(wide_dot(t->normal[axis], t->normal[a], t->normal[b], (long)bound - t->v[0][axis],
+                                           (long)at - t->v[0][a], (long)other - t->v[0][b]));
+    const double slope = (double)t->normal[axis];
+    return slope < 0 ? (double2)(over, -slope) : (double2)(-over, slope);
+}
+
+// How far corner i lies beyond a bound along an axis: rounded, of the right sign.
+double distance_of(const clipped *t, const polygon *p, int i, int axis, int bound)
+{
+    const double rounded = p->at[axis][i] - bound;
+    return fabs(rounded) > DOUBTFUL ? rounded : beyond(t, p->what[i], axis, bound).x;
+}
+
+// Keep what lies on one side of a plane of the voxel: at least at the low one, at most at the high one.
+void cut(const clipped *t, const polygon *p, int plane, polygon *kept)
+{
+    const int axis = plane >> 1, bound = t->bounds[plane];
+    const double sign = plane & 1 ? -1 : 1, first = distance_of(t, p, 0, axis, bound) * sign;
+    double here = first;
     int n = 0;
     for (int i = 0; i < p->n; ++i) {
-        const int j = i + 1 < p->n ? i + 1 : 0;
-        const double a = (p->at[axis][i] - bound) * side, b = (p->at[axis][j] - bound) * side;
-        if (a >= 0 && n < CORNERS) {
+        const double next = i + 1 < p->n ? distance_of(t, p, i + 1, axis, bound) * sign : first;
+        const int what = p->what[i], line = NEXT(what);
+        if (here >= 0) {
             for (int k = 0; k < 3; ++k)
                 kept->at[k][n] = p->at[k][i];
-            ++n;
+            kept->what[n++] = here > 0 || next >= 0 ? what : WHAT(what & 255, 0, SIDES + plane);
         }
-        if (((a < 0 && b > 0) || (a > 0 && b < 0)) && n < CORNERS) {
-            const double t = a / (a - b);
-            for (int k = 0; k < 3; ++k)
-                kept->at[k][n] = p->at[k][i] + (p->at[k][j] - p->at[k][i]) * t;
-            kept->at[axis][n++] = bound;
+        if ((here < 0 && next > 0) || (here > 0 && next < 0)) {
+            const int made = WHAT(line, SIDES + plane, here < 0 ? line : SIDES + plane);
+            for (int k = 0; k < 3; ++k) {
+                const double2 at = beyond(t, made, k, 0);
+                kept->at[k][n] = at.x / at.y;
+            }
+            kept->what[n++] = made;
         }
+        here = next;
     }
     kept->n = n;
 }
 
-void find_range(const polygon *p, int axis, double *low, double *high)
-{
-    *low = *high = p->at[axis][0];
-    for (int i = 1; i < p->n; ++i) {
-        *low = p->at[axis][i] < *low ? p->at[axis][i] : *low;
-        *high = p->at[axis][i] > *high ? p->at[axis][i] : *high;
-    }
-}
-
 // The first and last voxel along an axis whose interior meets the polygon. A flat one on a side between
 // two voxels lies in the one that is inside: in the lower one if it `ends` the inside along the axis.
-int2 voxels_along(const polygon *p, int axis, bool ends)
+int2 voxels_along(const clipped *t, const polygon *p, int axis, bool ends)
 {
-    double low, high;
-    find_range(p, axis, &low, &high);
-    const int first = (int)low >> FIXED_POINT_BITS, end = (int)high, last = end >> FIXED_POINT_BITS;
-    const bool on_side = (double)(last << FIXED_POINT_BITS) == high;
-    if (on_side && ends && low == high)
+    int first = INT_MAX, end = 0;
+    for (int i = 0; i < p->n; ++i) {
+        const double at = p->at[axis][i];
+        const int nearest = ((int)at + HALF) >> FIXED_POINT_BITS; // side
+        const double past = distance_of(t, p, i, axis, nearest << FIXED_POINT_BITS);
+        first = min(first, nearest - (past < 0));
+        end = max(end, nearest + (past > 0));
+    }
+    if (first == end && ends)
         return (int2)(first - 1);
-    return (int2)(first, max(first, last - on_side));
+    return (int2)(first, max(first, end - 1));
 }
 
 // What lies in a slab of voxels along an axis: the polygon itself if all of it does, or `kept`.
-const polygon *cut_slab(const polygon *p, int axis, int voxel, int2 range, polygon *spare, polygon *kept)
+const polygon *cut_slab(clipped *t, const polygon *p, int axis, int voxel, int2 range, polygon *spare, polygon *kept)
 {
     const bool low = voxel > range.x, high = voxel < range.y;
+    t->bounds[2 * axis] = voxel << FIXED_POINT_BITS;
+    t->bounds[2 * axis + 1] = (voxel + 1) << FIXED_POINT_BITS;
     if (low)
-        cut(p, axis, (double)(voxel * VOXEL), 1.0, high ? spare : kept);
+        cut(t, p, 2 * axis, high ? spare : kept);
     if (high)
-        cut(low ? spare : p, axis, (double)((voxel + 1) * VOXEL), -1.0, kept);
+        cut(t, low ? spare : p, 2 * axis + 1, kept);
     return low || high ? kept : p;
 }
 
@@ -115,49 +182,16 @@ void add(volatile __global uint *sum, long value)
 #define VOXELS __global const uint *touched, __global const uint *firsts
 #define THESE_VOXELS touched, firsts
 
-bool is_active(ACTIVE_SET_PARAMETERS, CODE code)
-{
-    if (block_words && !(block_words[(uint)(code >> 14)] >> (uint)(code >> 9 & 31) & 1))
-        return false;
-    const CODE stored = stored_code(ACTIVE_SET, code);
-    return words[(uint)(stored >> 5)] >> (uint)(stored & 31) & 1;
-}
-
-// The number of a voxel among the touched ones, UNTOUCHED if it is not one of them. `cell` and `node`
-// are the last level-1 cell that was sought, and its index, or UNTOUCHED.
+// The number of a voxel among the touched ones, of which it is one. `cell` and `node` are the level-1 cell
+// that was sought last, and its index.
 uint number_of(ACTIVE_SET_PARAMETERS, VOXELS, uint3 voxel, uint3 *cell, uint *node)
 {
     if (any(voxel >> 3 != *cell)) {
         *cell = voxel >> 3;
-        const CODE code = morton_encode(*cell);
-        *node = is_active(ACTIVE_SET, code) ? set_index(words, ranks, stored_code(ACTIVE_SET, code)) : UNTOUCHED;
+        *node = set_index(words, ranks, stored_code(ACTIVE_SET, morton_encode(*cell)));
     }
-    if (*node == UNTOUCHED)
-        return UNTOUCHED;
-    const uint place = voxel_place(voxel), word = 16 * *node + (place >> 5), bit = 1u << (place & 31);
-    return touched[word] & bit ? firsts[word] + popcount(touched[word] & (bit - 1)) : UNTOUCHED;
-}
-
-// Move a voxel that is not touched, as rounding took a part across a side of the next one: along the
-// axis in which the part is thinnest, which is returned, towards the side that is near; false if there
-// is no voxel.
-bool move_to_touched(const polygon *p, int3 shape, int3 first, int3 *voxel, int *axis)
-{
-    double least = 0, from = 0;
-    for (int a = 0; a < 3; ++a) {
-        double low, high;
-        find_range(p, a, &low, &high);
-        if (a == 0 || high - low < least) {
-            least = high - low;
-            *axis = a;
-            from = low;
-        }
-    }
-    int3 own = swizzle(*voxel, *axis);
-    const int begin = (own.z - swizzle(first, *axis).z) << FIXED_POINT_BITS;
-    own.z += from < begin + HALF ? -1 : 1;
-    *voxel = unswizzle(own, *axis);
-    return own.z >= 0 && own.z < swizzle(shape, *axis).z;
+    const uint place = voxel_place(voxel), word = 16 * *node + (place >> 5);
+    return firsts[word] + popcount(touched[word] & ((1u << (place & 31)) - 1));
 }
 
 // Add the area and the volume of each triangle's part in each voxel to the voxel's sums, and the areas
@@ -172,64 +206,51 @@ __kernel void add_parts(TRIANGLES, const int kind, const uint turned, ACTIVE_SET
     if (!take_share(THESE_TRIANGLES, kind, &t, &c))
         return;
     const long3 normal = cross_of(t.v[1] - t.v[0], t.v[2] - t.v[0]);
-    if (normal.x == 0 && !across)
-        return; // parallel to x
+    if (normal.x == 0 && (!across || (normal.y == 0 && normal.z == 0)))
+        return; // parallel to x, or without an area
     const int3 ends = convert_int3(turned ? normal < 0 : normal > 0); // the inside, along each axis
     int3 low, high;
     find_bounds(&t, &low, &high);
     const int3 first = low >> FIXED_POINT_BITS;
+    clipped own;
     polygon whole, spare, row, column, part;
     whole.n = 3;
     for (int i = 0; i < 3; ++i) {
         const int3 v = t.v[i] - first * VOXEL;
+        vstore3(v, 0, own.v[i]);
         whole.at[0][i] = v.x;
         whole.at[1][i] = v.y;
         whole.at[2][i] = v.z;
+        whole.what[i] = WHAT(i, 0, i);
     }
+    vstore3(normal, 0, own.normal);
     uint3 cell = (uint3)(UNTOUCHED);
     uint node = UNTOUCHED;
-    const int2 along_z = voxels_along(&whole, 2, ends.z);
+    const int2 along_z = voxels_along(&own, &whole, 2, ends.z);
     for (int k = max(along_z.x, c.low.y - first.z); k <= min(along_z.y, c.high.y - first.z); ++k) {
-        const polygon *in_row = cut_slab(&whole, 2, k, along_z, &spare, &row);
-        if (in_row->n < 3)
-            continue;
-        const int2 along_y = voxels_along(in_row, 1, ends.y);
+        const polygon *in_row = cut_slab(&own, &whole, 2, k, along_z, &spare, &row);
+        const int2 along_y = voxels_along(&own, in_row, 1, ends.y);
         for (int j = max(along_y.x, c.low.x - first.y); j <= min(along_y.y, c.high.x - first.y); ++j) {
-            const polygon *in_column = cut_slab(in_row, 1, j, along_y, &spare, &column);
-            if (in_column->n < 3)
-                continue;
-            const int2 along_x = voxels_along(in_column, 0, ends.x);
+            const polygon *in_column = cut_slab(&own, in_row, 1, j, along_y, &spare, &column);
+            const int2 along_x = voxels_along(&own, in_column, 0, ends.x);
             const int before = -1 - first.x, begin = max(along_x.x, before);
             const int end = min(max(along_x.y, before), shape.x - 1 - first.x);
             for (int i = begin; i <= end; ++i) {
                 const int x = first.x + i;
                 const int2 range = (int2)(x < 0 ? i : along_x.x, along_x.y);
-                const polygon *own = cut_slab(in_column, 0, i, range, &spare, &part);
                 double areas[3];
-                const double volume = measure(own, (double)((i + 1) << FIXED_POINT_BITS), areas);
+                const polygon *in_voxel = cut_slab(&own, in_column, 0, i, range, &spare, &part);
+                const double volume = measure(in_voxel, (double)((i + 1) << FIXED_POINT_BITS), areas);
                 const long area = rounded(areas[0]);
                 if (x < 0) {
                     if (entry)
                         add(entry + 2 * ((size_t)(first.z + k) * shape.y + (first.y + j)), area);
                     continue;
                 }
-                long whole_volume = rounded(volume);
-                if (area == 0 && whole_volume == 0 && !across)
-                    continue;
-                int3 voxel = (int3)(x, first.y + j, first.z + k);
-                uint number = number_of(ACTIVE_SET, THESE_VOXELS, as_uint3(voxel), &cell, &node);
-                if (number == UNTOUCHED && own->n > 2) {
-                    int axis;
-                    if (!move_to_touched(own, shape, first, &voxel, &axis))
-                        continue;
-                    if (axis == 0)
-                        whole_volume = voxel.x < x ? 0 : area;
-                    number = number_of(ACTIVE_SET, THESE_VOXELS, as_uint3(voxel), &cell, &node);
-                }
-                if (number == UNTOUCHED)
-                    continue;
+                const uint3 voxel = (uint3)(x, first.y + j, first.z + k);
+                const uint number = number_of(ACTIVE_SET, THESE_VOXELS, voxel, &cell, &node);
                 add(sums + 4 * (size_t)number, area);
-                add(sums + 4 * (size_t)number + 2, whole_volume);
+                add(sums + 4 * (size_t)number + 2, rounded(volume));
                 if (across) {
                     add(across + 4 * (size_t)number, rounded(areas[1]));
                     add(across + 4 * (size_t)number + 2, rounded(areas[2]));

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import voxtool
 from voxtool.errors import VoxtoolError
 from voxtool.files import write_mesh
+from voxtool.mesh.topology import volume
 from voxtool.selftest.oracles import filled_face
 from voxtool.svo.attribution.fraction import plan_fractions, volume_in_units
 from voxtool.svo.octree import Octree
@@ -256,9 +257,14 @@ def test_requests(here, device) -> None:
     assert "faces of voxels" in plain["left_out"]
     assert plan["predicted_device_bytes"] > plain["predicted_device_bytes"]
     assert "of voxels and their faces, of type f4" in run(f"{line} --plan").stdout
-    made = told(f"{line} -o a.svo.h5 --json")["attributes"]
+    made = told(f"{line} -o a.svo.h5 --json")
     octree = voxtool.read_svo("a.svo.h5")
-    assert made["faces"] == octree.attribute("faces").summary()
+    assert made["attributes"]["faces"] == octree.attribute("faces").summary()
+    mesh_volume = volume(voxtool.load_mesh("ball.ply"))
+    assert made["mesh_volume"] == pytest.approx(mesh_volume, rel=1e-13)
+    assert made["lattice_volume"] == pytest.approx(mesh_volume, rel=1e-7)
+    change = abs(made["lattice_volume"] / made["mesh_volume"] - 1)
+    assert f"the mesh's volume by {change:.1e} of it" in run(f"{line} -o a.svo.h5 -v").stderr
     options = {"dim": 24, "mode": "fraction", "face_fractions": True}
     assert octree == voxtool.voxelize("ball.ply", **options, device=device)
     run("svo-info a.svo.h5 --check")

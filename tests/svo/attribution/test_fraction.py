@@ -17,6 +17,8 @@ import voxtool
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.selftest.oracles import filled
 from voxtool.svo.attribution.fraction import (
+    LATTICE_BITS,
+    LATTICE_VOLUME,
     MESH_VOLUME,
     plan_fractions,
     volume_in_units,
@@ -108,8 +110,11 @@ def test_sums_are_the_exact_volume(device, kind) -> None:
         places = voxtool.Grid.fit(mesh, 61)
         job = voxtool.plan_voxelize(mesh, places, "fraction", fraction_type=kind, device=device)
         octree = job.run()
-        exact = volume_in_units(places.to_fixed(mesh.vertices), mesh.faces) / (6 << 24)
-        assert octree.plan[MESH_VOLUME] == exact
+        bits = octree.plan[LATTICE_BITS]
+        fixed = places.to_fixed(mesh.vertices, bits)
+        exact = volume_in_units(fixed, mesh.faces) / (6 << 3 * bits)
+        assert octree.plan[LATTICE_VOLUME] == exact
+        assert octree.plan[MESH_VOLUME] == pytest.approx(exact, rel=1e-6)
         assert stored_volume(octree) == pytest.approx(exact, rel=TOTALS[kind])
         assert octree.attribute("fraction").values.dtype == np.dtype(f"<{kind}")
         assert not job.disagreements
@@ -147,7 +152,7 @@ def test_boxes_of_any_offset(device) -> None:
 
 def test_two_boxes_that_share_a_face(device) -> None:
     """No volume is lost or doubled, whether the face lies on a voxel's side or in voxels."""
-    for at in (8, 7.5, 8 + 1 / 256):
+    for at in (8, 7.5, 8 + 1 / 256, 8 + 2**-20):
         parts = [meshes.box(3, (at, 12.25, 11)), meshes.box((at, 3, 3), (13, 12.25, 11))]
         octree = voxtool.voxelize(
             meshes.mesh_of(*meshes.join(*parts)), grid((16, 16, 16)), "fraction",

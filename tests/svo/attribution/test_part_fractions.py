@@ -82,6 +82,15 @@ def test_parts_that_share_a_face_are_one(device) -> None:
         assert (label_array(halves)[20, 3:9, 3:9] == 0).all()
 
 
+def test_parts_have_one_lattice(device) -> None:
+    """A part that reaches far beyond the grid has a coarser lattice, and so has its neighbour."""
+    at, end = 20 + 2**-20, (700, 30.25, 31)
+    mesh, parts = joined([meshes.box(3, (at, 30.25, 31)), meshes.box((at, 3, 3), end)])
+    octree = plan_part_fractions(mesh, grid(), labels=parts, device=device).run()
+    one = voxtool.voxelize(meshes.mesh_of(*meshes.box(3, end)), grid(), "fraction", device=device)
+    assert np.array_equal(dense_of(octree), dense_of(one))
+
+
 def test_open_parts_and_warnings(device) -> None:
     """Each part is closed by its own caps; a part that bounds nothing is a warning of its own."""
     shapes = [meshes.open_box((2.5, 2.25, 2), (9.5, 11.125, 12)), meshes.box(20.5, 30)]
@@ -106,7 +115,9 @@ def test_command(here, device) -> None:
     volumes = [6.75 * 7.75**2, 6.5 * 7.75**2]
     assert made["volume"] == sum(volumes)
     assert "mesh_volume" not in made
-    assert f"; volume {sum(volumes):.12g}," in run(f"{line} -o both.svo.h5").stderr
+    printed = run(f"{line} -o both.svo.h5 -v").stderr
+    assert f"; volume {sum(volumes):.12g}," in printed
+    assert "vertices rounded to 2^-20 of a voxel\n" in printed
     assert set(made["attributes"]) == {"label", "fraction"}
     info = told("svo-info both.svo.h5 --json")
     assert [row["volume"] for row in info["attributes"]["label"]["labels"]] == volumes

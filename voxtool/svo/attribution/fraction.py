@@ -1,4 +1,4 @@
-"""How much of each voxel lies inside a solid: exact but for rounding to whole numbers.
+"""How much of each voxel lies inside a solid, of the mesh on the finest lattice of its grid.
 
 Along a row of voxels, towards high x, triangles begin and end the inside. By the divergence
 theorem, the volume of a voxel that is inside is the sum, over the parts of triangles in it, of the
@@ -11,7 +11,8 @@ triangle touches:
 
 1. Touched voxels: those of the 26-separating surface, numbered in the order of the bits.
 2. Parts: each triangle is clipped to columns of voxels, and its part in a column to the voxels
-   there, in float64; area and volume are rounded to 2**-40 and added in integers.
+   there. Integers decide what lies where, and corners are rounded once, to float64. Area and volume
+   are rounded to 2**-40 and added in integers.
 3. Sums along rows (fraction_rows.py): each gives the volumes of its touched voxels, rounded to
    2**-31; on request rows along x, y and z give the areas of their faces, too.
 
@@ -26,7 +27,7 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from voxtool.errors import MeshError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import volume
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.attributes import Attribute
@@ -51,7 +53,10 @@ from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
 SOURCE = "svo/attribution/fraction.cl"
 TYPES = {kind: np.dtype(f"<{kind}") for kind in FRACTION_TYPES}
 MODE = "solid+fraction"  # of the octree
-MESH_VOLUME = "mesh_volume_voxels"  # in the plan that is stored
+# in the plan that is stored
+MESH_VOLUME, LATTICE_VOLUME, LATTICE_BITS = (
+    "mesh_volume_voxels", "lattice_volume_voxels", "lattice_bits",
+)  # fmt: skip
 VOXEL_BYTES = 4 * 4 + 4  # of a touched voxel: its sums and its share
 FACE_BYTES = 4 * 4 + 4 * FACES  # more with faces: sums across y and z, and the shares of faces
 
@@ -63,14 +68,21 @@ def plan_fractions(
     fill: str = FILLS[0],
     kind: str = FRACTION_TYPES[0],
     faces: bool = False,
+    bits: int | None = None,
     window: Window | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> FractionJob:
-    """Return the planned job of an octree with fractions; see `voxtool.voxelize`."""
+    """Return the planned job of an octree with fractions; see `voxtool.voxelize`.
+
+    The lattice is of 2**-bits voxel: by default the finest one for the mesh and the grid. Parts of
+    a mesh are given that of the whole.
+    """
     check_type(kind)
+    if bits is None:
+        bits = grid.finest_bits(mesh.bounds)
     options: dict[str, Any] = {"window": window, "device": device, "max_memory": max_memory}
-    solid = plan_voxelize(mesh, grid, "solid", fill=fill, **options)
+    solid = plan_voxelize(mesh, grid, "solid", fill=fill, bits=bits, **options)
     solid.settle()
     if solid.plan.fill == "flood":
         why = f" ({solid.inside.why})" if solid.inside else ""
@@ -89,6 +101,11 @@ def check_type(kind: str) -> None:
         raise VoxtoolError(f"fraction type {kind!r} is unknown: choose one of {', '.join(TYPES)}")
 
 
+def lattice_row(bits: int) -> tuple[str, str]:
+    """Return the name and the text of the row that `--plan` prints of a lattice."""
+    return "lattice", f"vertices are rounded to 2^-{bits} of a voxel"
+
+
 def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
     """Return six times the signed volume of a closed mesh of (V, 3) int32 vertices, exactly."""
     if not len(faces):
@@ -101,6 +118,17 @@ def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
         total += whole_sum(a[:, i] * (term >> 31)) << 31
         total += whole_sum(a[:, i] * (term & 0x7FFFFFFF))
     return total
+
+
+class Volumes(NamedTuple):
+    """Signed volumes of a mesh, in voxels.
+
+    lattice : of its vertices on the lattice, the exact number rounded once
+    mesh : of its vertices themselves, in float64
+    """
+
+    lattice: float
+    mesh: float
 
 
 @dataclass(frozen=True)
@@ -175,20 +203,23 @@ class FractionPlan:
             "left_out": self.left_out,
             "fraction_type": self.kind,
             "face_fractions": self.faces,
+            LATTICE_BITS: self.solid.bits,
             "predicted_touched_voxels": self.touched,
             "predicted_device_bytes": self.cost.device,
         }
 
     def scene(self) -> dict[str, Any]:
         """The part of the plan that is stored in the octree, in JSON types."""
-        return {**self.solid.scene(), "stages": self.stages, "left_out": self.left_out}
+        own = {"stages": self.stages, "left_out": self.left_out, LATTICE_BITS: self.solid.bits}
+        return {**self.solid.scene(), **own}
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts that `--plan` prints before the stages."""
         what = "of voxels and their faces, " * self.faces
         fractions = f"{what}of type {self.kind}, about {self.touched:,} voxels that triangles touch"
         caps = [("caps", self.closing)] if self.caps[1] else []
-        return [*self.solid.rows(), *caps, ("fractions", fractions)]
+        own = [("fractions", fractions), lattice_row(self.solid.bits)]
+        return [*self.solid.rows(), *caps, *own]
 
     @property
     def closing(self) -> str:
@@ -234,7 +265,7 @@ class FractionJob(Job[Octree]):
     def with_(self, **decisions: Any) -> Self:
         """Return a copy of the job with fields of its plan, or of its solid's, replaced."""
         job = copy.copy(self)
-        vars(job).pop("mesh_volume", None)  # which depends on the caps
+        vars(job).pop("volumes", None)  # which depend on the caps
         own = {"kind": decisions.pop("kind")} if "kind" in decisions else {}
         job.solid = self.solid.with_(**decisions)
         job.plan = replace(self.plan, solid=job.solid.plan, **own)
@@ -249,7 +280,8 @@ class FractionJob(Job[Octree]):
 
     def scene(self) -> dict[str, Any]:
         """Return the plan that is stored with the octree, in JSON types."""
-        return {**self.plan.scene(), MESH_VOLUME: self.mesh_volume}
+        lattice, mesh = self.volumes
+        return {**self.plan.scene(), MESH_VOLUME: mesh, LATTICE_VOLUME: lattice}
 
     def shares(self, axis_alone: int | None = None) -> tuple[Octree, Shares]:
         """Return the octree of the solid, and what lies inside of the voxels that triangles touch;
@@ -261,7 +293,7 @@ class FractionJob(Job[Octree]):
         with self.stage("touched voxels"):
             touched, firsts, count = _touched(scan, active)
         with self.stage("parts"):
-            turned = self.mesh_volume < 0 and plan.fill != "winding"
+            turned = self.volumes.lattice < 0 and plan.fill != "winding"
             parts = _add_parts(scan, active, touched, firsts, count, turned, self.plan.faces)
         with self.stage("sums along rows"):
             found = sum_rows(self.device, solid, plan.shape, parts, scan.options, axis_alone)
@@ -269,12 +301,13 @@ class FractionJob(Job[Octree]):
         return solid, found
 
     @cached_property
-    def mesh_volume(self) -> float:
-        """The signed volume of the mesh on the fixed-point lattice, caps included, in voxels: the
-        exact number, rounded once; of a window, that of the whole mesh."""
+    def volumes(self) -> Volumes:
+        """The signed volumes of the mesh, caps included; of a window, those of the whole mesh."""
         lattice = self.solid.lattice
         faces = lattice.faces.get(0, lattice.faces.size).reshape(-1, 3)
-        return volume_in_units(lattice.fixed, faces) / (6 << 24)
+        rounded = volume_in_units(lattice.fixed, faces) / (6 << 3 * lattice.bits)
+        unrounded = volume(Mesh(self.mesh.vertices, faces)) / self.grid.voxel_volume
+        return Volumes(rounded, unrounded)
 
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield warnings: the surface does not bound what the fill rule says, or nothing is set."""

@@ -16,14 +16,21 @@ import numpy as np
 
 from voxtool.choices import FRACTION_TYPES
 from voxtool.errors import count_of
-from voxtool.grid import Grid
+from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Cost
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device
 from voxtool.svo.attribute_levels import BRICKS
 from voxtool.svo.attributes import BITS, Attribute
-from voxtool.svo.attribution.fraction import MODE, check_type, plan_fractions, values_of
+from voxtool.svo.attribution.fraction import (
+    LATTICE_BITS,
+    MODE,
+    check_type,
+    lattice_row,
+    plan_fractions,
+    values_of,
+)
 from voxtool.svo.attribution.labels import (
     UNITE,
     PartLabelsJob,
@@ -41,9 +48,14 @@ SHARE_BYTES = 64 * (8 + 4 + 4)  # of a brick: sums, greatest shares and their pa
 
 @dataclass(frozen=True)
 class PartFractionsPlan(PartLabelsPlan):
-    """The plan of a voxelization with labels and fractions; kind : the type of fractions."""
+    """The plan of a voxelization with labels and fractions.
+
+    kind : the type of fractions
+    bits : vertices of all parts are rounded to 2**-bits voxel
+    """
 
     kind: str = FRACTION_TYPES[0]
+    bits: int = FIXED_POINT_BITS
 
     @property
     def cost(self) -> Cost:
@@ -58,11 +70,15 @@ class PartFractionsPlan(PartLabelsPlan):
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
-        return {**super().as_dict(), "fraction_type": self.kind}
+        return {**super().as_dict(), "fraction_type": self.kind, LATTICE_BITS: self.bits}
+
+    def scene(self) -> dict[str, Any]:
+        """The part of the plan that is stored with the octree, in JSON types."""
+        return {**super().scene(), LATTICE_BITS: self.bits}
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts that `--plan` prints before the stages."""
-        return [*super().rows(), ("fractions", f"of type {self.kind}")]
+        return [*super().rows(), ("fractions", f"of type {self.kind}"), lattice_row(self.bits)]
 
 
 def plan_part_fractions(
@@ -83,13 +99,16 @@ def plan_part_fractions(
     ranks = ranks_of(parts.names, priority)
     device = device or default_device()
     own = PartMesh.of_mesh(mesh, parts.labels)
+    bits = grid.finest_bits(mesh.bounds)  # of all parts: what two of them share stays common
+    options: dict[str, Any] = {"fill": fill, "bits": bits}
+    options |= {"device": device, "max_memory": max_memory}
     jobs: list[Any] = [
-        plan_fractions(own.alone(part, mesh), grid, fill=fill, device=device, max_memory=max_memory)
-        for part in own.parts.tolist()
+        plan_fractions(own.alone(part, mesh), grid, **options) for part in own.parts.tolist()
     ]
     plan = PartFractionsPlan(
         MODE, parts.names, 0, tuple((part, WHY) for part in own.parts.tolist()),
         dtype_of_labels(len(parts.names)), 0, tuple(job.plan for job in jobs), kind,
+        bits,
     )  # fmt: skip
     return PartFractionsJob(mesh, grid, own, ranks, None, jobs, plan, device, max_memory)
 

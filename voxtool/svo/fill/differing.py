@@ -23,12 +23,12 @@ CROSSING_BYTES = 64  # at most, on the device and on the host
 
 def count_differing(
     mesh: Mesh, grid: Grid, low: tuple[int, ...], shape: tuple[int, ...], crossings: float,
-    device: Device, max_memory: int,
+    device: Device, max_memory: int, bits: int,
 ) -> int:  # fmt: skip
     """Return the number of voxels of a window of a grid that parity and the union fill otherwise.
 
-    mesh : closed, its shells turned outward; crossings : about how many there are, by which the
-    window is divided in slabs that fit in max_memory bytes.
+    mesh : closed, its shells turned outward; bits : of the lattice; crossings : about how many
+    there are, by which the window is divided in slabs that fit in max_memory bytes.
     """
     nz = shape[2]
     slabs = min(max(int(CROSSING_BYTES * crossings // max_memory) + 1, 1), nz)
@@ -38,8 +38,9 @@ def count_differing(
         for begin, end in pairwise(ends):
             slab = shape[0], shape[1], end - begin
             window = (low[0], low[1], low[2] + begin), slab
-            lattice = place_mesh(mesh, grid, window, None, None, device)
+            lattice = place_mesh(mesh, grid, window, None, None, device, bits)
             request = {"mode": "solid", "fill": "winding", "gap": 0, "holes": 0, "caps": 0}
+            request["bits"] = bits
             plan = plan_of(lattice.survey(), slab, **request)
             found += _differing(Scan(lattice, plan), shape[0])
     return found
