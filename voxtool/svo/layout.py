@@ -47,11 +47,15 @@ def descend(codes: np.ndarray, levels: int = 1) -> np.ndarray:
     return ((codes << np.uint64(3 * levels))[:, None] | below).ravel()
 
 
+def unpack_bits(bricks: np.ndarray) -> np.ndarray:
+    """Return the (M, 64) uint8 bits of (M,) masks."""
+    octets = np.ascontiguousarray(bricks, BRICK).view(np.uint8).reshape(-1, BRICK.itemsize)
+    return np.unpackbits(octets, axis=1, bitorder="little")
+
+
 def unpack_bricks(bricks: np.ndarray) -> np.ndarray:
     """Return the (M, 4, 4, 4) bool voxels of (M,) masks, indexed [brick, x, y, z]."""
-    bits = np.unpackbits(
-        np.ascontiguousarray(bricks, BRICK).view(np.uint8), bitorder="little"
-    ).reshape(-1, 64)
+    bits = unpack_bits(bricks)
     x, y, z = BRICK_VOXELS.T
     dense = np.empty((len(bricks), BRICK_SIDE, BRICK_SIDE, BRICK_SIDE), bool)
     dense[:, x, y, z] = bits

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +22,7 @@ from voxtool.files.windows import Key, Window, Windows
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.subset import mesh_of
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.attributes import Attribute
@@ -358,26 +359,6 @@ def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
     """Return the voxels of a window along each axis."""
     x, y, z = (min(key[3], n - a) for a, n in zip(key[:3], grid.shape, strict=True))
     return x, y, z
-
-
-def mesh_of(mesh: Mesh, faces: np.ndarray) -> Mesh:
-    """Return the mesh of some faces, with their appearance."""
-    if len(faces) == len(mesh.faces):
-        return mesh
-    used = np.zeros(len(mesh.vertices), bool)
-    used[mesh.faces[faces]] = True
-    index = np.cumsum(used, dtype=np.int32) - 1
-    look = mesh.appearance
-    if look is not None:
-        uv, colours = look.uv, look.colours
-        look = replace(
-            look,
-            material=look.material[faces],
-            uv=None if uv is None else uv[faces],
-            colours=None if colours is None else colours[used],
-        )
-    arrays = {"vertices": mesh.vertices[used], "faces": index[mesh.faces[faces]]}
-    return replace(mesh, **arrays, parts={}, appearance=look)
 
 
 def leaves_of(attribute: Attribute, tree: Subtree) -> np.ndarray:
