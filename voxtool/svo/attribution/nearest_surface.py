@@ -72,7 +72,8 @@ class NearestSurface:
         for first in range(0, len(self.mesh.faces), AREAS_AT_ONCE):
             faces = self.mesh.faces[first : first + AREAS_AT_ONCE]
             a, b, c = (self.fixed[faces[:, k]].astype(np.int64) for k in range(3))
-            yield np.asarray(np.cross(b - a, c - a)).any(axis=1)
+            across: np.ndarray = np.cross(b - a, c - a)
+            yield (across != 0).any(axis=1)
 
     def values(self, names: Sequence[str], voxels: np.ndarray) -> dict[str, np.ndarray]:
         """Return the values of attributes of (n, 3) voxels, (n, channels) each."""

@@ -93,7 +93,8 @@ class Pass:
         mesh = self.scan.mesh
         self.scan.kernel(SOURCE, "finish_values")(
             16 * self.active.nodes.n, self.active.nodes.codes, self.bricks, self.starts,
-            mesh.vertices, mesh.faces, **self.look, scale=scale_of(mesh.grid), nearest=nearest, areas=sums.get("areas"), colour_sums=sums.get("colour_sums"),
+            mesh.vertices, mesh.faces, **self.look, scale=scale_of(mesh.grid),
+            nearest=nearest, areas=sums.get("areas"), colour_sums=sums.get("colour_sums"),
             normal_sums=sums.get("normal_sums"), faces_of=faces_of,
             colour_values=values.get("colour"), normal_values=values.get("normal"),
         )  # fmt: skip

@@ -1,0 +1,203 @@
+"""Exposed voxels against brute force: neighbours in a dense array, and the nearest of all faces in
+rational numbers. The same in windows of the grid, in any order of the search, on every device."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import meshes
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from voxtool.grid import Grid
+from voxtool.mesh import srgb
+from voxtool.mesh.appearance import Appearance, Material
+from voxtool.mesh.mesh import Mesh
+from voxtool.morton import morton_decode
+from voxtool.opencl import Device
+from voxtool.svo.attributes import BITS, check_attributes
+from voxtool.svo.attribution.colours import plan_attributes
+from voxtool.svo.attribution.nearest_surface import GRAINS
+from voxtool.svo.attribution.surface_pass import INSIDE_COLOUR
+from voxtool.svo.layout import BRICK_VOXELS
+from voxtool.svo.octree import Octree
+from voxtool.svo.voxelize import plan_voxelize, voxelize
+
+BETWEEN = Fraction(0.6180339887498949)  # between whole grains
+NAMES = ("colour", "normal", "area")
+
+
+def grid_of(n: int) -> Grid:
+    return Grid((n, n, n), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+
+def painted(mesh: Mesh) -> Mesh:
+    """The mesh with a colour of its own for each face."""
+    faces = np.arange(len(mesh.faces))
+    colours = [(1.0, (f % 7) / 7, (f // 7) / 64, 1.0) for f in faces.tolist()]
+    materials = tuple(Material(str(f), colours[f]) for f in faces.tolist())
+    return replace(mesh, appearance=Appearance(materials, faces.astype(np.int32)))
+
+
+def coloured(mesh: Mesh, grid: Grid, device: Device, names: Any = NAMES, **options: Any) -> Octree:
+    inner = plan_voxelize(mesh, grid, "solid", device=device, **options)
+    octree = plan_attributes(inner, mesh, names).run()
+    octree.validate()
+    leaves = sum(int(level.inside.sum()) for level in octree.levels() if level.number)
+    check_attributes(octree.attributes, octree.bricks, leaves)
+    return octree
+
+
+def dense(octree: Octree, name: str) -> np.ndarray:
+    """The values of all voxels, (x, y, z) or (x, y, z, channels); the default inside, 0 outside."""
+    attribute, set_ = octree.attribute(name), octree.to_dense()
+    found = np.zeros((octree.grid.side,) * 3 + attribute.values.shape[1:], attribute.values.dtype)
+    found[: set_.shape[0], : set_.shape[1], : set_.shape[2]][set_] = attribute.blank
+    bits = (attribute.held(octree.bricks)[:, None] & BITS) != 0
+    brick, bit = np.nonzero(bits)
+    voxels = 4 * morton_decode(octree.levels()[-1].codes)[brick] + BRICK_VOXELS[bit]
+    found[tuple(voxels.T)] = attribute.values
+    return found[: set_.shape[0], : set_.shape[1], : set_.shape[2]]
+
+
+# ---- the oracle
+
+
+def exposed_of(set_: np.ndarray) -> np.ndarray:
+    padded = np.pad(set_, 1)
+    around = [
+        padded[i : i + set_.shape[0], j : j + set_.shape[1], k : k + set_.shape[2]]
+        for i, j, k in np.ndindex(3, 3, 3)
+    ]
+    return set_ & ~np.logical_and.reduce(around)
+
+
+def dot(a: Any, b: Any) -> Any:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def cross(a: Any, b: Any) -> tuple:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def less(a: Any, b: Any) -> tuple:
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+def nearest_point(corners: list, p: tuple) -> tuple[Fraction, Fraction, Fraction]:
+    """The squared distance of a point to a triangle, and where the nearest point is: u and v."""
+    a, b, w = less(corners[1], corners[0]), less(corners[2], corners[0]), less(p, corners[0])
+    n = cross(a, b)
+    square = dot(n, n)
+    if square:
+        u, v = Fraction(dot(cross(w, b), n), square), Fraction(dot(cross(a, w), n), square)
+        if u >= 0 and v >= 0 and u + v <= 1:
+            return Fraction(dot(n, w) ** 2, square), u, v
+    found = []
+    one, none = Fraction(1), Fraction(0)
+    places = [(none, none), (one, none), (none, one)]
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        side, way = less(corners[j], corners[i]), less(p, corners[i])
+        length = dot(side, side)
+        t = min(max(Fraction(dot(way, side), length), none), one) if length else none
+        rest = [x - t * y for x, y in zip(way, side, strict=True)]
+        (u0, v0), (u1, v1) = places[i], places[j]
+        found.append((dot(rest, rest), u0 + t * (u1 - u0), v0 + t * (v1 - v0)))
+    return min(found, key=lambda one: one[0])
+
+
+def nearest_face(triangles: list, voxel: tuple) -> tuple[int, Fraction, Fraction]:
+    """The first of the nearest faces that have an area, and where its nearest point is."""
+    p = tuple(256 * int(i) + 128 for i in voxel)
+    best: tuple = (math.inf,)
+    for face, corners in enumerate(triangles):
+        if not any(cross(less(corners[1], corners[0]), less(corners[2], corners[0]))):
+            continue
+        square, u, v = nearest_point(corners, p)
+        grains = math.floor(square * int(GRAINS) + BETWEEN)
+        if grains < best[0]:
+            best = grains, face, u, v
+    return best[1:]
+
+
+def on_lattice(mesh: Mesh, grid: Grid) -> list:
+    fixed = grid.to_fixed(mesh.vertices)
+    return [[tuple(map(int, fixed[k])) for k in face] for face in mesh.faces.tolist()]
+
+
+def check(mesh: Mesh, octree: Octree, touched: np.ndarray) -> int:
+    """Compare all values with the oracle; return how many voxels it decided."""
+    set_ = octree.to_dense()
+    exposed, triangles = exposed_of(set_), on_lattice(mesh, octree.grid)
+    colours, normals, areas = (dense(octree, name) for name in NAMES)
+    bare = exposed & ~touched
+    deeper = set_ & ~exposed & ~touched
+    assert (colours[deeper] == INSIDE_COLOUR).all()
+    assert not normals[deeper].any()
+    assert not areas[bare | deeper].any()
+    assert not (colours[exposed] == INSIDE_COLOUR).all(axis=1).any()
+    seen = mesh.appearance
+    assert seen is not None
+    for voxel in np.argwhere(bare):
+        face, _, _ = nearest_face(triangles, tuple(voxel))
+        light = np.array(seen.materials[seen.material[face]].colour)
+        level = srgb.to_levels((light[:3] * srgb.ONE).astype(np.int64))
+        assert (colours[tuple(voxel)][:3] == level).all(), voxel
+        a, b, c = (np.array(corner, np.float64) for corner in triangles[face])
+        normal = np.cross(b - a, c - a)
+        assert np.abs(normals[tuple(voxel)] - normal / np.linalg.norm(normal)).max() < 1e-6
+    return int(bare.sum())
+
+
+# ---- random meshes
+
+
+def parts(rng: np.random.Generator, n: int) -> Mesh:
+    """Tetrahedra and boxes that may overlap, reach beyond the grid, or be turned inside out."""
+    vertices, faces, count = [], [], 0
+    for _ in range(rng.integers(1, 4)):
+        if rng.random() < 0.5:
+            low = rng.integers(-256, 256 * n // 2, 3)
+            points, own = meshes.box(low, low + rng.integers(300, 256 * n // 2, 3))
+        else:
+            points = rng.integers(-256, 256 * n + 256, (4, 3))
+            own = np.array([(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)])
+        vertices.append(points / 256)
+        faces.append(own[:, ::-1] + count if rng.random() < 0.3 else own + count)
+        count += len(points)
+    return meshes.mesh_of(np.concatenate(vertices), np.concatenate(faces))
+
+
+@pytest.mark.parametrize("options", [{"fill": "parity"}, {"fill": "nonzero"}, {"fill": "winding"},
+                                     {"fill": "flood", "gap": 3}, {"with_surface": True}], ids=str)  # fmt: skip
+@settings(max_examples=5)
+@given(seed=st.integers(0, 1 << 32))
+def test_against_rational_numbers(options: dict[str, Any], seed: int, device: Device) -> None:
+    """Also of open meshes, where rows leak and floods close gaps, far from any face."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(8, 14))
+    mesh, grid = parts(rng, n), grid_of(n)
+    if rng.random() < 0.5:
+        kept = rng.random(len(mesh.faces)) < 0.8
+        mesh = replace(mesh, faces=mesh.faces[kept] if kept.any() else mesh.faces)
+    mesh = painted(mesh)
+    octree = coloured(mesh, grid, device, **options)
+    assert octree.set_digest() == voxelize(mesh, grid, device=device, **options).set_digest()
+    check(mesh, octree, voxelize(mesh, grid, "surface26", device=device).to_dense())
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.3, 0.5])
+def test_leaves_beside_the_outside_are_refined(shift: float, device: Device) -> None:
+    """Faces between the centres of a node's last voxels and the next ones; cubes cut by the grid."""
+    low = np.array([8 - shift, 16 - shift, -9.0])
+    mesh = painted(meshes.mesh_of(*meshes.box(low, low + (24, 16, 60))))
+    octree = coloured(mesh, grid_of(40), device)
+    plain = voxelize(mesh, grid_of(40), device=device)
+    assert octree.set_digest() == plain.set_digest()
+    found = check(mesh, octree, voxelize(mesh, grid_of(40), "surface26", device=device).to_dense())
+    assert found > 500
