@@ -254,8 +254,7 @@ class WindowsJob(Job[BlockOctree]):
         self._prepare()
         self._done = 0
         self._make(self._missing(root, self.all_faces))
-        self._used: list[Key] = []
-        tree = self._made(root)
+        tree = self._tree()
         mesh = self.mesh
         origin = (mesh.source_sha256, mesh.units, mesh.transform)
         count = sum(map(self.store.voxels, self._used))
@@ -313,11 +312,21 @@ class WindowsJob(Job[BlockOctree]):
         """Return the state of a cube that is no window."""
         return EMPTY
 
+    def _tree(self) -> Subtree:
+        """Return the tree of the octree; its bricks wait on disk, in the windows that are used."""
+        self._used: list[Key] = []
+        return self._made(self.plan.root)
+
+    def _divided_part(self, part: Part) -> Part:
+        """Return a cube as it was divided in the end."""
+        return part
+
     def _made(self, part: Part) -> Subtree:
         """Return the subtree of a cube; its bricks wait on disk."""
+        part = self._divided_part(part)
         if part.parts:
             return joined([self._made(half) for half in part.parts])
-        if not part.window:
+        if part.key not in self.store:
             return leaf_subtree(part.key[3], self._leaf(part.key))
         self._used.append(part.key)
         levels, bricks = self.store.get(part.key)

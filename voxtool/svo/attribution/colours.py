@@ -229,7 +229,6 @@ class SurfaceAttributesJob(Job[Octree]):
     device: Device
     plan: AttributePlan
     surface: VoxelizeJob
-    alone: bool = False
 
     def __init__(
         self,
@@ -239,8 +238,10 @@ class SurfaceAttributesJob(Job[Octree]):
         colour: str,
         device: Device | None,
         max_memory: int | None,
+        *,
+        alone: bool = False,
     ) -> None:
-        self.inner, self.mesh = inner, mesh
+        self.inner, self.mesh, self.alone = inner, mesh, alone
         self.max_memory = inner.max_memory if max_memory is None else max_memory
         coloured = "colour" in names
         look = check_look(mesh) if coloured else None
