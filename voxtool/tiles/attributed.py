@@ -38,6 +38,8 @@ from voxtool.tiles.operations import Operand
 from voxtool.tiles.subtree import Subtree, codes_of, leaf_subtree, subtree_of
 from voxtool.tiles.windows import MARGIN, Content, Part, WindowsJob, attributed, mesh_of
 
+EXPOSED = "exposed voxels of window"  # as progress says it
+
 
 class AttributeWindowsJob(WindowsJob):
     """A voxelization with attributes of the surface that runs window by window."""
@@ -80,7 +82,7 @@ class AttributeWindowsJob(WindowsJob):
         octree = Operand(self._on_disk(tree), np.zeros(3, np.int64))
         surface = self._whole_job.whole_surface
         for key in self._leaves(self.plan.root):
-            self._report("exposed voxels of window")
+            self._report(EXPOSED)
             with self.device.reporting(lambda _: None):  # not the stages within
                 self._complete_window(key, octree, surface)
         return super()._tree()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import meshes
@@ -16,18 +17,24 @@ from hypothesis import strategies as st
 
 from voxtool.grid import Grid
 from voxtool.mesh import srgb
-from voxtool.mesh.appearance import Appearance, Material
+from voxtool.mesh.appearance import Appearance, Material, Texture
+from voxtool.mesh.joining import join
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
+from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.attributes import BITS, check_attributes
+from voxtool.svo.attribution import nearest_surface
 from voxtool.svo.attribution.colours import plan_attributes
-from voxtool.svo.attribution.nearest_surface import GRAINS
+from voxtool.svo.attribution.labels import plan_labels
+from voxtool.svo.attribution.nearest_surface import GRAINS, NearestSurface
 from voxtool.svo.attribution.surface_pass import INSIDE_COLOUR
+from voxtool.svo.image import VoxelImage
 from voxtool.svo.layout import BRICK_VOXELS
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize, voxelize
 
+TRIED = 60  # voxels of an octree whose nearest faces the oracle finds
 BETWEEN = Fraction(0.6180339887498949)  # between whole grains
 NAMES = ("colour", "normal", "area")
 
@@ -125,6 +132,12 @@ def nearest_face(triangles: list, voxel: tuple) -> tuple[int, Fraction, Fraction
     return best[1:]
 
 
+def some_of(voxels: np.ndarray) -> np.ndarray:
+    """Some voxels of a dense array, (n, 3)."""
+    found = np.argwhere(voxels)
+    return found[np.random.default_rng(1).permutation(len(found))[:TRIED]]
+
+
 def on_lattice(mesh: Mesh, grid: Grid) -> list:
     fixed = grid.to_fixed(mesh.vertices)
     return [[tuple(map(int, fixed[k])) for k in face] for face in mesh.faces.tolist()]
@@ -143,7 +156,7 @@ def check(mesh: Mesh, octree: Octree, touched: np.ndarray) -> int:
     assert not (colours[exposed] == INSIDE_COLOUR).all(axis=1).any()
     seen = mesh.appearance
     assert seen is not None
-    for voxel in np.argwhere(bare):
+    for voxel in some_of(bare):
         face, _, _ = nearest_face(triangles, tuple(voxel))
         light = np.array(seen.materials[seen.material[face]].colour)
         level = srgb.to_levels((light[:3] * srgb.ONE).astype(np.int64))
@@ -173,9 +186,15 @@ def parts(rng: np.random.Generator, n: int) -> Mesh:
     return meshes.mesh_of(np.concatenate(vertices), np.concatenate(faces))
 
 
-@pytest.mark.parametrize("options", [{"fill": "parity"}, {"fill": "nonzero"}, {"fill": "winding"},
-                                     {"fill": "flood", "gap": 3}, {"with_surface": True}], ids=str)  # fmt: skip
-@settings(max_examples=5)
+FILLS = [
+    {"fill": "parity"}, {"fill": "nonzero"}, {"fill": "winding"}, {"fill": "flood", "gap": 3},
+    {"with_surface": True},
+]  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
+@pytest.mark.parametrize("options", FILLS, ids=str)
+@settings(max_examples=4)
 @given(seed=st.integers(0, 1 << 32))
 def test_against_rational_numbers(options: dict[str, Any], seed: int, device: Device) -> None:
     """Also of open meshes, where rows leak and floods close gaps, far from any face."""
@@ -193,11 +212,138 @@ def test_against_rational_numbers(options: dict[str, Any], seed: int, device: De
 
 @pytest.mark.parametrize("shift", [0.0, 0.3, 0.5])
 def test_leaves_beside_the_outside_are_refined(shift: float, device: Device) -> None:
-    """Faces between the centres of a node's last voxels and the next ones; cubes cut by the grid."""
+    """Faces between the centres of a node's last voxels and the next; a box cut by the grid."""
     low = np.array([8 - shift, 16 - shift, -9.0])
-    mesh = painted(meshes.mesh_of(*meshes.box(low, low + (24, 16, 60))))
+    mesh = painted(meshes.mesh_of(*meshes.box(low, low + np.array([24, 16, 60]))))
     octree = coloured(mesh, grid_of(40), device)
     plain = voxelize(mesh, grid_of(40), device=device)
     assert octree.set_digest() == plain.set_digest()
     found = check(mesh, octree, voxelize(mesh, grid_of(40), "surface26", device=device).to_dense())
     assert found > 500
+
+
+# ---- colours at points
+
+
+@pytest.mark.parametrize("colour", ["mean", "nearest"])
+@pytest.mark.parametrize("kind", ["vertices", "texture"])
+def test_colours_at_the_nearest_point(kind: str, colour: str, device: Device) -> None:
+    rng = np.random.default_rng(4)
+    mesh, grid = meshes.mesh_of(*meshes.icosphere(1, 6, 5.3)), grid_of(12)
+    n, uv, corners, texture = len(mesh.faces), None, None, None
+    if kind == "vertices":
+        corners = rng.random((len(mesh.vertices), 4))
+    else:
+        uv = rng.uniform(-1, 2, (n, 3, 2)).round(2)
+        texture = Texture(rng.integers(0, 256, (5, 4, 4)).astype(np.uint8))
+    look = Appearance((Material("a", texture=texture),), np.zeros(n, np.int32), uv, corners)
+    mesh = replace(mesh, appearance=look)
+    inner = plan_voxelize(mesh, grid, "solid", fill="nonzero", device=device)
+    octree = plan_attributes(inner, mesh, ("colour",), colour=colour).run()
+    bare = exposed_of(octree.to_dense())
+    bare &= ~voxelize(mesh, grid, "surface26", device=device).to_dense()
+    assert bare.sum() > 100
+    found, triangles = dense(octree, "colour"), on_lattice(mesh, grid)
+    for voxel in some_of(bare):
+        face, u, v = nearest_face(triangles, tuple(voxel))
+        shares = np.array([float(1 - u - v), float(u), float(v)])
+        if corners is not None:
+            own = corners[mesh.faces[face]]
+            light = own[np.argmax(shares)] if colour == "nearest" else shares @ own
+        else:
+            assert uv is not None
+            assert texture is not None
+            light = texture_at(texture, shares @ uv[face], colour)
+        scaled = (np.array([light - 1e-6, light + 1e-6])[:, :3] * srgb.ONE).astype(np.int64)
+        low, high = srgb.to_levels(np.clip(scaled, 0, srgb.ONE))
+        level = found[tuple(voxel)][:3]
+        assert ((low <= level) & (level <= high)).all(), (voxel, face, light)
+
+
+def texture_at(texture: Texture, uv: np.ndarray, colour: str) -> np.ndarray:
+    """The light at a place: bilinear, or of the texel there."""
+    pixels = texture.pixels
+    height, width, _ = pixels.shape
+    lights = np.concatenate([srgb.to_linear(pixels[..., :3]), pixels[..., 3:] / 255], axis=2)
+    s, r = uv[0] * width, uv[1] * height
+    if colour == "nearest":
+        return lights[math.floor(r) % height, math.floor(s) % width]
+    s, r = s - 0.5, r - 0.5
+    i, j = math.floor(s), math.floor(r)
+    x, y = s - i, r - j
+    rows = [
+        lights[k % height, i % width] * (1 - x) + lights[k % height, (i + 1) % width] * x
+        for k in (j, j + 1)
+    ]
+    return rows[0] * (1 - y) + rows[1] * y
+
+
+# ---- what does not show
+
+
+@pytest.mark.parametrize("fill", ["parity", "flood"])
+def test_windows_of_the_grid(fill: str, device: Device) -> None:
+    """Voxels of a window have what they have in the whole grid, also beside its border."""
+    rng = np.random.default_rng(8)
+    mesh, grid = painted(parts(rng, 24)), grid_of(24)
+    whole = coloured(mesh, grid, device, fill=fill)
+    for low, shape in (((2, 0, 5), (14, 24, 8)), ((8, 16, 0), (16, 8, 24))):
+        window = coloured(mesh, grid, device, fill=fill, window=(low, shape))
+        part = tuple(slice(a, a + n) for a, n in zip(low, shape, strict=True))
+        for name in NAMES:
+            assert np.array_equal(dense(window, name), dense(whole, name)[part]), name
+
+
+def test_the_order_of_the_search(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Faces near the voxels first, a few at once, in packets or alone."""
+    mesh, grid = painted(meshes.mesh_of(*meshes.icosphere(2, 32, 28))), grid_of(64)
+    voxels = np.random.default_rng(2).integers(0, 64, (9000, 3))
+    search = partial(NearestSurface, mesh, grid, sampled=False, device=device, max_memory=1)
+    monkeypatch.setattr(nearest_surface, "REACH", 1000)
+    centres = 256 * voxels + 128
+    found = search().nearest(voxels, centres)
+    for voxel, face in zip(voxels[:9].tolist(), found[:9].tolist(), strict=True):
+        assert nearest_face(on_lattice(mesh, grid), tuple(voxel))[0] == face
+    monkeypatch.setattr(nearest_surface, "LEAST_AT_ONCE", 90)
+    assert np.array_equal(search().nearest(voxels, centres), found)
+    monkeypatch.setattr(nearest_surface, "REACH", 1)
+    far = np.abs(np.linalg.norm(voxels - 31.5, axis=1) - 28)
+    for own in np.argsort(far)[[0, 1000, 5000, -1]].tolist():
+        one = slice(own, own + 1)
+        assert search().nearest(voxels[one], centres[one]) == found[own]
+
+
+def test_every_device_agrees(devices: list[Device]) -> None:
+    mesh = painted(parts(np.random.default_rng(12), 40))
+    digests = {coloured(mesh, grid_of(40), device, fill="nonzero").digest() for device in devices}
+    assert len(digests) == 1
+
+
+@pytest.fixture
+def devices() -> list[Device]:
+    from conftest import opened, usable_devices
+
+    return [opened(index) for index, _ in usable_devices()]
+
+
+def test_labels_of_exposed_voxels(device: Device) -> None:
+    """Each set voxel has the label of a part that it is in, so exposed ones have, too; leaves that
+    are refined for colours keep theirs."""
+    low = np.array([7.7, 15.6, -9.0])
+    both = join([
+        meshes.mesh_of(*meshes.box(low, low + np.array([24, 16, 60])), "low"),
+        meshes.mesh_of(*meshes.box(low + 20, low + np.array([30, 22, 60])), "high"),
+    ])  # fmt: skip
+    mesh, grid = painted(both), grid_of(48)
+    plain = plan_labels(mesh, grid, "solid", labels="file", device=device)
+    octree = plan_attributes(plain, mesh, ("colour",)).run()
+    octree.validate()
+    labels = plain.run()
+    assert len(octree.bricks) > len(labels.bricks)
+    assert octree.set_digest() == labels.set_digest()
+    first, second = (
+        np.concatenate(list(AttributeImage(VoxelImage.of(one), "label").slabs()))
+        for one in (octree, labels)
+    )
+    assert np.array_equal(first, second)
+    assert octree.attribute("label").masks is None
