@@ -30,11 +30,11 @@ from voxtool.svo.layout import MAX_LINK
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tiles import cluster
+from voxtool.tiles.attributed import EXPOSED
 from voxtool.tiles.cluster import connected, results
 from voxtool.tiles.make import in_memory
 from voxtool.tiles.plan import plan_spread
 from voxtool.tiles.spread import SpreadJob, SpreadPlan
-from voxtool.tiles.attributed import EXPOSED
 from voxtool.tiles.windows import Part, WindowsJob
 
 
