@@ -45,7 +45,7 @@ from voxtool.svo.attribution.look import (
     look_bytes,
     texels_of,
 )
-from voxtool.svo.attribution.nearest_surface import NearestSurface, search_bytes
+from voxtool.svo.attribution.nearest_surface import NearestSurface, programs, search_bytes
 from voxtool.svo.attribution.surface_pass import (
     SOURCE,
     VALUES,
@@ -357,6 +357,8 @@ class SurfaceAttributesJob(Job[Octree]):
         """Return the values of all voxels in the bricks of the active nodes."""
         device, plan, count = self.device, self.plan, 16 * active.nodes.n
         device.prepare((SOURCE, scan.options))
+        if plan.exposed and not self.alone:
+            device.prepare(*programs(device, plan.values // 2))
         starts = device.empty(count + 1, np.uint32)
         scan.kernel(SCAN, "count_bits")(count, bricks, starts)
         n = exclusive_scan(starts, count)

@@ -21,15 +21,24 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.subset import mesh_of
 from voxtool.morton import distinct
 from voxtool.opencl import Device
+from voxtool.opencl.builder import Request
 from voxtool.spatial.bvh import tree_bytes
-from voxtool.spatial.distance import POINT_BYTES, TriangleDistance, rounded_bytes
+from voxtool.spatial.distance import (
+    PACKETS,
+    PACKETS_FROM,
+    POINT_BYTES,
+    POINTS,
+    TriangleDistance,
+    rounded_bytes,
+)
+from voxtool.spatial.distance import SOURCE as DISTANCE
 from voxtool.svo.attribution.look import NO_LOOK, look_arguments
 from voxtool.svo.attribution.surface_pass import VALUES, scale_of
 from voxtool.svo.lattice import fixed_of
 from voxtool.svo.plan import COLUMN_TILE
 
 SOURCE = "svo/attribution/exposed.cl"
-OPTIONS = {"CODE": "uint", "COLUMN_TILE": COLUMN_TILE}
+OPTIONS: dict[str, int | str] = {"CODE": "uint", "COLUMN_TILE": COLUMN_TILE}
 GRAINS = 256.0  # in a squared unit of the lattice
 REACH = 8  # voxels around the voxels of which faces are searched first; then 8 times as many
 LEAST_AT_ONCE = 1 << 12  # faces
@@ -39,6 +48,14 @@ AREAS_AT_ONCE = 1 << 20  # faces whose areas are computed at once
 def search_bytes(faces: int, points: int) -> int:
     """Return the bytes on the device of a search of so many faces for the nearest to points."""
     return tree_bytes(faces) + rounded_bytes(faces) + 36 * faces + POINT_BYTES * points
+
+
+def programs(device: Device, voxels: int) -> list[Request]:
+    """Return the programs by which so many voxels find their values, in order."""
+    ranked = {"RANKED": 1, "GRAINED": 1}
+    packed = device.lanes == POINTS and voxels >= PACKETS_FROM
+    search: Request = (PACKETS, ranked) if packed else (DISTANCE, {"BOX": "float", **ranked})
+    return [search, (SOURCE, OPTIONS)]
 
 
 class NearestSurface:
