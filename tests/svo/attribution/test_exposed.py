@@ -176,7 +176,8 @@ def parts(rng: np.random.Generator, n: int) -> Mesh:
     for _ in range(rng.integers(1, 4)):
         if rng.random() < 0.5:
             low = rng.integers(-256, 256 * n // 2, 3)
-            points, own = meshes.box(low, low + rng.integers(300, 256 * n // 2, 3))
+            high = low + rng.integers(300, 256 * n // 2, 3)
+            points, own = meshes.box(low.tolist(), high.tolist())
         else:
             points = rng.integers(-256, 256 * n + 256, (4, 3))
             own = np.array([(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)])
@@ -213,8 +214,8 @@ def test_against_rational_numbers(options: dict[str, Any], seed: int, device: De
 @pytest.mark.parametrize("shift", [0.0, 0.3, 0.5])
 def test_leaves_beside_the_outside_are_refined(shift: float, device: Device) -> None:
     """Faces between the centres of a node's last voxels and the next; a box cut by the grid."""
-    low = np.array([8 - shift, 16 - shift, -9.0])
-    mesh = painted(meshes.mesh_of(*meshes.box(low, low + np.array([24, 16, 60]))))
+    low, high = (8 - shift, 16 - shift, -9.0), (32 - shift, 32 - shift, 51.0)
+    mesh = painted(meshes.mesh_of(*meshes.box(low, high)))
     octree = coloured(mesh, grid_of(40), device)
     plain = voxelize(mesh, grid_of(40), device=device)
     assert octree.set_digest() == plain.set_digest()
@@ -329,10 +330,9 @@ def devices() -> list[Device]:
 def test_labels_of_exposed_voxels(device: Device) -> None:
     """Each set voxel has the label of a part that it is in, so exposed ones have, too; leaves that
     are refined for colours keep theirs."""
-    low = np.array([7.7, 15.6, -9.0])
     both = join([
-        meshes.mesh_of(*meshes.box(low, low + np.array([24, 16, 60])), "low"),
-        meshes.mesh_of(*meshes.box(low + 20, low + np.array([30, 22, 60])), "high"),
+        meshes.mesh_of(*meshes.box((7.7, 15.6, -9.0), (31.7, 31.6, 51.0)), "low"),
+        meshes.mesh_of(*meshes.box((27.7, 25.6, 11.0), (37.7, 37.6, 51.0)), "high"),
     ])  # fmt: skip
     mesh, grid = painted(both), grid_of(48)
     plain = plan_labels(mesh, grid, "solid", labels="file", device=device)
