@@ -6,7 +6,7 @@
 #ifdef GRAINED
 #define BETWEEN 0.6180339887498949
 #define GRAINS(dd, grain) floor((dd) * (grain) + BETWEEN)
-#define MOST_OF(grains, grain) (((grains) + 1) / (grain)) // exceeds the squares of so many grains
+#define MOST_OF(grains, grain) (((grains) + 1) / (grain)) // exceeds squares that have this number of grains
 #define DISTANCE(grains) (grains)
 #else
 #define GRAINS(dd, grain) (dd)

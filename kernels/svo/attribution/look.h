@@ -295,7 +295,7 @@ skin skin_of(LOOK, __global const int *faces, uint face)
     return k;
 }
 
-// The colour at a place of a face, but for its texture.
+// The colour at a place of a face, without its texture.
 double4 paint_at(const skin *k, double u, double v)
 {
     if (!k->painted)

@@ -8,7 +8,7 @@ common side of two voxels counts by half in each. A voxel that the surface only 
 values of its lowest triangle. With "nearest", the colour is that of
 the greatest part at its centroid, as texel, vertex and material have it.
 
-Of a solid, exposed voxels that the surface does not meet have the colour and the normal of its
+Exposed voxels of a solid that the surface does not meet have the colour and the normal of its
 nearest point (exposed.py).
 
 The stages: the octree, by its own job; the surface, as mode surface26 has it; the pairs of a
@@ -45,7 +45,12 @@ from voxtool.svo.attribution.look import (
     look_bytes,
     texels_of,
 )
-from voxtool.svo.attribution.nearest_surface import NearestSurface, programs, search_bytes
+from voxtool.svo.attribution.nearest_surface import (
+    NearestSurface,
+    placed_bytes,
+    programs,
+    search_bytes,
+)
 from voxtool.svo.attribution.surface_pass import (
     SOURCE,
     VALUES,
@@ -113,13 +118,14 @@ class AttributePlan:
         each = AREA_BYTES + INDEX_BYTES + sum(of[name] for name in self.names)
         inner, surface = self.octree.cost, self.surface.cost
         device = surface.device + each * self.values + self.look
-        search = host = 0
+        search = eroded = placed = 0
         if self.exposed:
-            search = search_bytes(self.surface.survey.triangles, self.values) + self.look
-            host = exposed_bytes(self.bricks)
+            triangles = self.surface.survey.triangles
+            search = search_bytes(triangles, self.values) + self.look
+            eroded, placed = exposed_bytes(self.bricks), placed_bytes(triangles)
         return Cost(
-            device=max(inner.device, device, search, host),
-            host=inner.host + 2 * each * self.values + host,
+            device=max(inner.device, device, search, eroded),
+            host=inner.host + 2 * each * self.values + eroded + placed,
             largest=max(inner.largest, surface.largest, 32 * self.values, self.look),
         )
 

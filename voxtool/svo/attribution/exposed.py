@@ -37,7 +37,7 @@ UNSEEN = "area"  # what the surface has in a voxel: 0 where it does not meet it
 
 def exposed_bytes(bricks: int) -> int:
     """Return the predicted bytes, on the device and on the host, of finding the exposed voxels of
-    an octree with so many bricks."""
+    an octree with this number of bricks."""
     return TILE_COPIES * BRICK_BYTES * bricks
 
 

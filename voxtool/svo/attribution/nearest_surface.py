@@ -42,16 +42,22 @@ OPTIONS: dict[str, int | str] = {"CODE": "uint", "COLUMN_TILE": COLUMN_TILE}
 GRAINS = 256.0  # in a squared unit of the lattice
 REACH = 8  # voxels around the voxels of which faces are searched first; then 8 times as many
 LEAST_AT_ONCE = 1 << 12  # faces
+FACE_BYTES = 60  # of a face's corners and box on the host
 AREAS_AT_ONCE = 1 << 20  # faces whose areas are computed at once
 
 
+def placed_bytes(faces: int) -> int:
+    """Return the bytes on the host of the corners and the boxes of faces."""
+    return FACE_BYTES * faces
+
+
 def search_bytes(faces: int, points: int) -> int:
-    """Return the bytes on the device of a search of so many faces for the nearest to points."""
+    """Return the bytes on the device of a search of faces for the nearest to points."""
     return tree_bytes(faces) + rounded_bytes(faces) + 36 * faces + POINT_BYTES * points
 
 
 def programs(device: Device, voxels: int) -> list[Request]:
-    """Return the programs by which so many voxels find their values, in order."""
+    """Return the programs by which a number of voxels find their values, in order."""
     ranked = {"RANKED": 1, "GRAINED": 1}
     packed = device.lanes == POINTS and voxels >= PACKETS_FROM
     search: Request = (PACKETS, ranked) if packed else (DISTANCE, {"BOX": "float", **ranked})
