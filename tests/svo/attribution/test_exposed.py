@@ -229,8 +229,10 @@ def test_leaves_beside_the_outside_are_refined(shift: float, device: Device) -> 
 @pytest.mark.parametrize("colour", ["mean", "nearest"])
 @pytest.mark.parametrize("kind", ["vertices", "texture"])
 def test_colours_at_the_nearest_point(kind: str, colour: str, device: Device) -> None:
+    """Of a ball with a cavity, to which edges and corners are nearest."""
     rng = np.random.default_rng(4)
-    mesh, grid = meshes.mesh_of(*meshes.icosphere(1, 6, 5.3)), grid_of(12)
+    ball, cavity = meshes.icosphere(1, 8, 7.3), meshes.icosphere(0, 8, 4.2)
+    mesh, grid = meshes.mesh_of(*meshes.join(ball, (cavity[0], cavity[1][:, ::-1]))), grid_of(16)
     n, uv, corners, texture = len(mesh.faces), None, None, None
     if kind == "vertices":
         corners = rng.random((len(mesh.vertices), 4))
