@@ -21,6 +21,7 @@ from voxtool.choices import COLOURS
 from voxtool.files.windows import Key, Window
 from voxtool.mesh.appearance import Appearance
 from voxtool.svo.attributes import Attribute
+from voxtool.svo.attribution.colours import EXPOSED as STAGE
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.exposed import exposed_voxels, with_exposed
 from voxtool.svo.attribution.look import textures_of
@@ -83,7 +84,7 @@ class AttributeWindowsJob(WindowsJob):
         surface = self._whole_job.whole_surface
         for key in self._leaves(self.plan.root):
             self._report(EXPOSED)
-            with self.device.reporting(lambda _: None):  # not the stages within
+            with self.device.reporting(lambda _: None), self.device.stage(STAGE):
                 self._complete_window(key, octree, surface)
         return super()._tree()
 

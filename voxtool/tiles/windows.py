@@ -377,8 +377,9 @@ def leaves_of(attribute: Attribute, tree: Subtree) -> np.ndarray:
 
 
 def stored_bytes(plan: Any) -> int:
-    """Return the predicted bytes of the octree of a plan in a file, with its attributes."""
-    values = getattr(plan, "stored_values", 0)
+    """Return the predicted bytes of the octree of a plan in a file, with its attributes, and of a
+    copy that waits beside it."""
+    values = getattr(plan, "stored_values", 0) + getattr(plan, "waiting", 0)
     return NODE_BYTES * plan.nodes + BRICK_BYTES * plan.bricks + values
 
 

@@ -58,7 +58,7 @@ from voxtool.svo.attribution.surface_pass import (
     SurfaceValues,
     without_values,
 )
-from voxtool.svo.layout import BRICK_BYTES
+from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.scan import SOURCE as SCAN
@@ -110,6 +110,11 @@ class AttributePlan:
         each = sum(without_values(name).blank.nbytes for name in self.names)
         masks = BRICK_BYTES * self.bricks * len(self.names)
         return getattr(self.octree, "stored_values", 0) + each * self.values + masks
+
+    @property
+    def waiting(self) -> int:
+        """Predicted bytes of the octree on the disk, from which windows are completed."""
+        return (NODE_BYTES * self.nodes + BRICK_BYTES * self.bricks) * self.exposed
 
     @property
     def cost(self) -> Cost:
