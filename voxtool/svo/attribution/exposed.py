@@ -18,11 +18,13 @@ from voxtool.opencl import Device
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.nearest_surface import NearestSurface
 from voxtool.svo.layout import (
+    AT_ONCE,
     BRICK,
     BRICK_BYTES,
     BRICK_SIDE,
     BRICK_VOXELS,
     descend,
+    held_in,
     pack_voxels,
     unpack_bits,
 )
@@ -105,8 +107,12 @@ def with_exposed(
 def bits_of(masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the brick and the bit of each voxel of some masks."""
     bricks = np.flatnonzero(masks)
-    row, bit = np.nonzero(unpack_bits(masks[bricks]))
-    return bricks[row], bit
+    parts = [np.empty((2, 0), np.int64)]
+    for first in range(0, len(bricks), AT_ONCE):
+        row, bit = np.nonzero(unpack_bits(masks[bricks[first : first + AT_ONCE]]))
+        parts.append(np.stack([bricks[first + row], bit]))
+    brick, bit = np.concatenate(parts, axis=1)
+    return brick, bit
 
 
 def _merged(
@@ -114,8 +120,7 @@ def _merged(
 ) -> Attribute:
     """Return an attribute with values of more voxels, which had none."""
     held = attribute.held(bricks) | bare
-    some = np.flatnonzero(held)
-    added = unpack_bits(bare[some])[unpack_bits(held[some]) != 0] != 0
+    added = held_in(held, bare)
     found = np.empty((len(added), *values.shape[1:]), values.dtype)
     found[added], found[~added] = values, attribute.values
     return replace(attribute, values=found, masks=held)

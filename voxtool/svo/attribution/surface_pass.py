@@ -14,7 +14,7 @@ import numpy as np
 from voxtool.grid import Grid
 from voxtool.opencl import Array, program
 from voxtool.svo.attributes import Attribute
-from voxtool.svo.layout import BRICK, unpack_bits
+from voxtool.svo.layout import BRICK, held_in
 from voxtool.svo.scan import ActiveNodes, Scan
 
 SOURCE = "svo/attribution/colours.cl"
@@ -152,6 +152,4 @@ class SurfaceValues:
             both = own[place] == codes
             held[both] = bricks[both] & self.masks[place[both]]
             kept[place[both]] = held[both]
-        some = np.flatnonzero(self.masks)
-        set_ = unpack_bits(self.masks[some]) != 0
-        return held, unpack_bits(kept[some])[set_] != 0
+        return held, held_in(self.masks, kept)
