@@ -198,7 +198,7 @@ FILLS = [
 @settings(max_examples=4)
 @given(seed=st.integers(0, 1 << 32))
 def test_against_rational_numbers(options: dict[str, Any], seed: int, device: Device) -> None:
-    """Also of open meshes, where the fill leaks along rows and floods close gaps, far from faces."""
+    """Also of open meshes, where the fill leaks along rows and floods close gaps."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(8, 14))
     mesh, grid = parts(rng, n), grid_of(n)
