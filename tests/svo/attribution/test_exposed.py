@@ -290,7 +290,11 @@ def test_windows_of_the_grid(fill: str, device: Device) -> None:
     rng = np.random.default_rng(8)
     mesh, grid = painted(parts(rng, 24)), grid_of(24)
     whole = coloured(mesh, grid, device, fill=fill)
-    for low, shape in (((2, 0, 5), (14, 24, 8)), ((8, 16, 0), (16, 8, 24))):
+    for low, shape in (
+        ((2, 0, 5), (14, 24, 8)),
+        ((8, 16, 0), (16, 8, 24)),
+        ((0, 0, 0), (13, 9, 10)),
+    ):
         window = coloured(mesh, grid, device, fill=fill, window=(low, shape))
         part = tuple(slice(a, a + n) for a, n in zip(low, shape, strict=True))
         for name in NAMES:

@@ -27,10 +27,13 @@ from voxtool.svo.layout import (
     held_in,
     pack_voxels,
     unpack_bits,
+    voxels_within,
 )
 from voxtool.svo.links import FULL, REFINED, states_of
+from voxtool.svo.morphology import Element, batch_of, erode
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS
+from voxtool.svo.tiling import LEVEL, Box, Tiling
 
 Bricks = tuple[np.ndarray, np.ndarray]  # Morton codes of bricks, ascending, and their masks
 TILE_COPIES = 4  # of the bricks that are eroded
@@ -48,9 +51,6 @@ def exposed_voxels(
 ) -> Bricks:
     """Return the exposed voxels of a box of an octree, counted from the box's low corner; `low` is
     the corner, in voxels."""
-    from voxtool.svo.morphology import Element, batch_of, erode
-    from voxtool.svo.tiling import LEVEL, Box, Tiling
-
     box, cube = Box(low, low + shape), Element.of("cube", 1.0, (1.0, 1.0, 1.0))
     voxels = Tiling.of(octree, 1)
     inner = erode(device, voxels, cube, batch_of(cube, len(voxels.codes), max_memory), box)
@@ -64,10 +64,12 @@ def exposed_voxels(
         found = BRICK_SIDE * cells[brick] + BRICK_VOXELS[bit] - low
         return pack_voxels(found[((found >= 0) & (found < shape)).all(axis=1)])
     cells -= low // BRICK_SIDE
-    own = ((cells >= 0) & (BRICK_SIDE * cells < shape)).all(axis=1)
+    x, y, z = shape.tolist()
+    masks = masks[held] & voxels_within(cells, (x, y, z))
+    own = np.flatnonzero((cells >= 0).all(axis=1) & (masks != 0))
     codes = morton_encode(cells[own])
     order = np.argsort(codes)
-    return codes[order], masks[held[own]][order]
+    return codes[order], masks[own][order]
 
 
 def with_exposed(
