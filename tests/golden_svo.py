@@ -107,7 +107,7 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
 
 def attributed(mesh: voxtool.Mesh, grid: voxtool.Grid, device: Any) -> Iterator[tuple[str, str]]:
     """Digests of octrees with labels of three parts, each every third face or a shell, and with
-    colours and normals, and with areas."""
+    colours and normals, also of exposed voxels of solids, and with areas."""
     thirds = Parts(np.arange(len(mesh.faces), dtype=np.int32) % 3, ("a", "b", "c"))
     for mode, labels in (("surface26", thirds), ("surface6", thirds), ("solid", "shell")):
         octree = voxtool.voxelize(mesh, grid, mode, labels=labels, fill="parity", device=device)
@@ -121,6 +121,8 @@ def attributed(mesh: voxtool.Mesh, grid: voxtool.Grid, device: Any) -> Iterator[
     request: dict[str, Any] = {"attributes": ("colour", "normal"), "device": device}
     octree = voxtool.voxelize(coloured, grid, "surface26", **request)
     yield f"colours {grid.dim}", octree.digest()
+    octree = voxtool.voxelize(coloured, grid, fill="parity", **request)
+    yield f"colours solid {grid.dim}", octree.digest()
     request["attributes"] = ("area",)
     yield f"areas {grid.dim}", voxtool.voxelize(mesh, grid, "surface26", **request).digest()
 

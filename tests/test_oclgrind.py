@@ -188,7 +188,7 @@ def test_every_kernel_and_variant_was_launched(run):
         "SAMPLE=uint",
     }
     wanted |= {"MORTON_TABLE", "PLANE_TILE=4", "BASE_OVERLAP", "DESCENT", "ANCESTORS"}
-    wanted |= {"SIGNED", "RANKED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
+    wanted |= {"SIGNED", "RANKED", "GRAINED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
     wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK"}
     wanted |= {"PERSPECTIVE", "ANCHORED", "CONSTANT", "FACES=4", "FACES=6", "SLOTS=3", "SLOTS=7"}
@@ -408,6 +408,15 @@ def colour_voxels(device) -> None:
             octree = job.with_(**forced).run()
             assert len(octree.attribute("colour").values) == octree.count > 0
             assert octree.attribute("normal").values.any()
+    vertices, faces = meshes.box(1.7, 6.2)  # touches none of the 4 x 4 x 4 voxels in it
+    look = Appearance(
+        (Material("a", texture=texture),), np.zeros(12, np.int32), np.tile(uv[0], (12, 1, 1))
+    )
+    mesh = Mesh(np.asarray(vertices, float), faces.astype(np.int32), appearance=look)
+    for colour in COLOURS:
+        inner = plan_voxelize(mesh, grid, device=device)
+        octree = plan_attributes(inner, mesh, ("colour", "normal"), colour=colour).run()
+        assert len(octree.attribute("colour").values) == octree.count - 2**3 == 56
 
 
 def fill_voxels_in_part(device) -> None:

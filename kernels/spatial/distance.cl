@@ -1,9 +1,10 @@
 // The nearest triangle of a mesh to each point. Host side: voxtool/spatial/distance.py.
 //
 // Options: BOX: the precision of distance bounds to boxes, float near the mesh and double far away.
-// RANKED: the nearest triangle is returned in addition to its distance.
+// RANKED: the nearest triangle is returned in addition to its distance. GRAINED: see grain.h.
 
 #include "spatial/bvh.h"
+#include "spatial/grain.h"
 #include "spatial/hilbert.h"
 #include "spatial/names.h"
 
@@ -86,6 +87,9 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
 #ifdef RANKED
                                 __global const uint *ranks, __global uint *slots,
 #endif
+#ifdef GRAINED
+                                const double grain,
+#endif
                                 __global double *distances)
 {
     const uint gid = get_global_id(0);
@@ -114,7 +118,8 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
             const triangle t = leaf_triangles(leaves + (size_t)leaf * (FIELDS * LEAF));
             ways way;
             long4 feature;
-            const double4 dd = triangle_ways(&t, p.x, p.y, p.z, &way, &feature);
+            const double4 squares = triangle_ways(&t, p.x, p.y, p.z, &way, &feature);
+            const double4 dd = GRAINS(squares, grain);
             const double near = lesser(dd);
             const bool nearer = near < least;
             least = nearer ? near : least;
@@ -122,7 +127,7 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
             const bool found = nearest_ranked(dd, vload4(leaf, ranks), &least_ranked, &rank);
             own_leaf = found ? leaf : own_leaf;
             if (found)
-                reach = (BOX)least_ranked * SLACK + (BOX)0x1p-100;
+                reach = (BOX)MOST_OF(least_ranked, grain) * SLACK + (BOX)0x1p-100;
 #else
             if (nearer)
                 reach = (BOX)least * SLACK + (BOX)0x1p-100; // positive even if the distance is 0
@@ -137,7 +142,7 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
         JOIN(vstore, 8)(dx * dx + dy * dy + dz * dz, 0, found);
         top = push_nearest(id, found, reach, bounds, ids, top);
     }
-    distances[own] = sqrt(least);
+    distances[own] = DISTANCE(least);
 #ifdef RANKED
     uint slot = own_leaf * LEAF;
     while (rank != NAMELESS && ranks[slot] != rank)

@@ -2,9 +2,10 @@
 // per lane, share a traversal. A work-item follows RUN packets of them, one after the other. Host
 // side: voxtool/spatial/distance.py. The results are those of nearest_triangles in distance.cl.
 //
-// Options: RANKED: the nearest triangle is returned in addition to its distance.
+// Options: RANKED: the nearest triangle is returned in addition to its distance. GRAINED: see grain.h.
 
 #include "spatial/bvh.h"
+#include "spatial/grain.h"
 #include "spatial/names.h"
 #include "spatial/nearest_packets.h"
 #include "spatial/oriented_boxes.h"
@@ -120,6 +121,9 @@ typedef struct {
     uint16 rank, slot;
 #endif
     float16 reach, doubtful;
+#ifdef GRAINED
+    double grain;
+#endif
 } packet;
 
 // The packet of points from `start` on; the last of `count` pads the last packet.
@@ -150,7 +154,8 @@ bool meet(packet *p, const triangle *t, uint slot, uint rank)
 {
     ways way;
     long16 feature;
-    const double16 dd = triangle_ways(t, p->x, p->y, p->z, &way, &feature);
+    const double16 square_of = triangle_ways(t, p->x, p->y, p->z, &way, &feature);
+    const double16 dd = GRAINS(square_of, p->grain);
     const long16 nearer = dd < p->least;
     p->least = nearer ? dd : p->least;
 #ifdef RANKED
@@ -161,10 +166,10 @@ bool meet(packet *p, const triangle *t, uint slot, uint rank)
     p->least_ranked = better ? dd : p->least_ranked;
     p->rank = convert_int16(better) ? rank : p->rank;
     p->slot = convert_int16(better) ? slot : p->slot;
-    const float16 square = convert_float16(p->least_ranked);
+    const float16 square = convert_float16(MOST_OF(p->least_ranked, p->grain));
 #else
     const long16 better = nearer;
-    const float16 square = convert_float16(p->least);
+    const float16 square = convert_float16(MOST_OF(p->least, p->grain));
 #endif
     p->reach = square * SLACK + 0x1p-100f; // positive even if the distance is 0
     const float16 distance = sqrt(square) * SLACK + DOUBT;
@@ -259,6 +264,9 @@ __kernel void nearest_in_packets(__global const double *points, __global const u
 #ifdef RANKED
                                  __global const uint *ranks, __global uint *slots,
 #endif
+#ifdef GRAINED
+                                 const double grain,
+#endif
                                  __global double *distances)
 {
     const uint gid = get_global_id(0);
@@ -272,9 +280,12 @@ __kernel void nearest_in_packets(__global const double *points, __global const u
     uint hint = 0;
     for (uint start = gid * (RUN * POINTS); start < min((gid + 1) * (RUN * POINTS), count); start += POINTS) {
         packet p = points_of(points, order, count, start);
+#ifdef GRAINED
+        p.grain = grain;
+#endif
         hint = search(&p, &t, hint);
         double least[POINTS];
-        vstore16(sqrt(p.least), 0, least);
+        vstore16(DISTANCE(p.least), 0, least);
 #ifdef RANKED
         uint slot[POINTS];
         vstore16(p.slot, 0, slot);

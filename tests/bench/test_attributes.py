@@ -29,7 +29,7 @@ def test_no_voxel_is_wrong_and_wrong_ones_are_found(
 ) -> None:
     points = {p.method: p for p in attributes.measure(bench)}
     made = [p for p in points.values() if p.work == attributes.WORK]
-    assert len(made) == 7
+    assert len(made) == 9
     assert all(p.errors["wrong"] == 0 for p in made)
     assert 0 < points["surface26, areas"].errors["area"] < 1e-6
     assert points["meshes of labels, voxel-faces"].errors["volume"] < 1e-12

@@ -127,6 +127,15 @@ def test_normals_and_areas(request_of: dict, models: Path, check) -> None:
     check(surface(mesh, cut(mesh), **request_of), side)
 
 
+@pytest.mark.parametrize("fill", ["parity", "flood"])
+def test_exposed_voxels_far_from_faces(fill: str, check) -> None:
+    """Full cubes beside the end of the grid, which no face reaches; windows beside them."""
+    vertices, faces = meshes.box((20, 20, 20), (340, 340, 500))
+    mesh = meshes.mesh_of(np.asarray(vertices) + 0.3, faces)
+    grid = Grid((350, 350, 256), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    check(surface(mesh, grid, "normal", mode="solid", fill=fill), 128)
+
+
 @pytest.mark.parametrize("colour", ["mean", "nearest"])
 def test_textures(colour: str, models: Path, check) -> None:
     mesh = load_mesh(models / "parts.glb", keep=("appearance",))

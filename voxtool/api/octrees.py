@@ -135,7 +135,8 @@ def plan_voxelize(
     attributes
         the voxels of the surface get these: "colour", of a mesh read with
         `load_mesh(path, keep=("appearance",))`, "normal", and "area", in the mesh's unit squared.
-        Other set voxels have a default.
+        Exposed voxels of a solid that no triangle touches have the colour and the normal of the
+        surface's nearest point, other set voxels a default.
     colour
         "mean", by area and in linear light, or "nearest": as the greatest part of the surface in
         the voxel has it, so that there are no new colours.

@@ -38,9 +38,10 @@ TOO_LARGE = {"wrong": f"labels are compared up to dim {DENSE_DIM}"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model: its solid without and with labels of its shells; its surface without
-    attributes, with areas, with normals, with colours of its vertices, and with colours and
-    normals; and the meshes of labels and of colours."""
+    """The points of a model: its solid without and with labels of its shells, with colours of its
+    vertices, and with those of voxels alone that its surface meets; its surface without attributes,
+    with areas, with normals, with colours of its vertices, and with colours and normals; and the
+    meshes of labels and of colours."""
     mesh = load_mesh(bench.model)
     painted = with_colours(mesh)
     for dim in bench.request.dims:
@@ -52,6 +53,8 @@ def measure(bench: Bench) -> Iterator[Point]:
         for method, plan in (
             ("solid", solid),
             ("solid, labels of shells", labels),
+            ("solid, colours", partial(with_attributes, solid, painted, "colour")),
+            ("solid, colours where its surface is", partial(on_surface, solid, painted)),
             ("surface26", surface),
             ("surface26, areas", partial(with_attributes, surface, mesh, "area")),
             ("surface26, normals", partial(with_attributes, surface, mesh, "normal")),
@@ -81,7 +84,7 @@ def measure(bench: Bench) -> Iterator[Point]:
                 run=lambda device, plan=plan: plan(device=device).run(),
                 absent=absent, bytes=octree.nbytes + held, size=octree.count,
             )  # fmt: skip
-            if [one.name for one in octree.attributes] in (["label"], ["colour"]):
+            if method in ("solid, labels of shells", "surface26, colours"):
                 yield from surfaces(
                     octree, bench.timed, partial(row, work=MESHES, size=octree.count)
                 )
@@ -134,6 +137,11 @@ def with_colours(mesh: Mesh) -> Mesh:
 def with_attributes(plan: Any, mesh: Mesh, *names: str, device: Device) -> Job[Octree]:
     """The job of a surface and attributes of it."""
     return plan_attributes(plan(device=device), mesh, names, device=device)
+
+
+def on_surface(plan: Any, mesh: Mesh, *, device: Device) -> Job[Octree]:
+    """The job of a solid with colours of the voxels that its surface meets."""
+    return with_attributes(plan, mesh, "colour", device=device).with_(exposed=False)
 
 
 def area_of(mesh: Mesh, grid: Grid) -> float:

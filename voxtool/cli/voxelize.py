@@ -87,7 +87,9 @@ if TYPE_CHECKING:
         metavar="first|last|NAME,..."),
     option("--attributes", options.List(click.Choice(ATTRIBUTES)),
         f"Of the voxels of the surface: {', '.join(ATTRIBUTES)} (SVO 3.0).  Colours are those of "
-        "the mesh's materials, textures and vertices.", metavar="NAME,..."),
+        "the mesh's materials, textures and vertices.  Exposed voxels of solids that no triangle "
+        "touches have the colour and the normal of the nearest point of the surface.",
+        metavar="NAME,..."),
     option("--colour", COLOURS,
         "With --attributes colour: the mean by area, in linear light, or that of the greatest part "
         f"of the surface in the voxel, as it is.  [default: {COLOURS[0]}]"),

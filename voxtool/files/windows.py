@@ -14,9 +14,9 @@ import json
 import math
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -225,6 +225,30 @@ class Windows:
         with open(_attribute_path(self.folder, key, name, part), "rb") as file:
             while len(block := np.fromfile(file, dtype, VALUES * math.prod(row))):
                 yield block.reshape(-1, *row)
+
+    def load(self, key: Key, about: Attribute) -> Attribute:
+        """Return an attribute of a window in memory, given one of the same name without values."""
+        arrays = [
+            np.concatenate([none, *self.array(key, about.name, part)])
+            for part, none in (("values", about.values), ("leaves", about.leaves))
+        ]
+        masks = None
+        if self.attribute(key, about.name)["masked"]:
+            masks = np.concatenate([np.empty(0, BRICK), *self.array(key, about.name, "masks")])
+        return replace(about, values=arrays[0], leaves=arrays[1], masks=masks)
+
+    def mapped(self, name: str, dtype: np.dtype, blocks: Iterable[np.ndarray]) -> np.ndarray:
+        """Write an array that comes in blocks beside the windows; return it, mapped into memory."""
+        path = self.folder / name
+        try:
+            with open(path, "wb") as file:
+                for block in blocks:
+                    file.write(block.data)
+            if not path.stat().st_size:
+                return np.empty(0, dtype)
+            return np.memmap(path, dtype, "r")
+        except OSError as error:
+            raise write_error(self.folder, error) from error
 
     def drop(self, key: Key, name: str, part: str) -> None:
         """Remove an array of an attribute of a window from the disk."""

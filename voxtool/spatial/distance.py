@@ -197,11 +197,32 @@ class TriangleDistance:
                 directions.take().reshape(-1, 3),
             )
 
-    def search(self, block: PointBlock, ranks: Array | None) -> tuple[Array, Array | None]:
+    def nearest_faces(self, points: np.ndarray, grains: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return for (N, 3) points the nearest faces, (N,) int64, and the squares of their
+        distances in grains, (N,) float64 whole numbers; of faces with equal ones the first.
+
+        `grains` is the number of grains in a square of a unit of the world, a power of two.
+        """
+        squares, faces = np.empty(len(points)), np.empty(len(points), np.int64)
+        face_of = self.tree.face_of.get()
+        for block in self.blocks(points):
+            found, slots = self.search(block, self.tree.face_of, grains)
+            assert slots is not None
+            squares[block.where], faces[block.where] = found.take(), face_of[slots.take()]
+        return faces, squares
+
+    def search(
+        self, block: PointBlock, ranks: Array | None, grains: float = 0
+    ) -> tuple[Array, Array | None]:
         """Return local distances of a block's points, (n,) float64, and with ranks (TriangleTree)
-        the slots of the nearest triangles, (n,) uint32."""
+        the slots of the nearest triangles, (n,) uint32; with `grains`, as of `nearest_faces`, the
+        squares of the distances in grains."""
         device, tree = self.device, self.tree
-        options = {"RANKED": 1} if ranks else {}
+        options: dict[str, int] = {"RANKED": 1} if ranks else {}
+        more = {}
+        if grains:
+            options["GRAINED"] = 1
+            more["grain"] = math.ldexp(grains, 2 * tree.frame.exponent)
         distances = device.empty(block.n, np.float64)
         slots = device.empty(block.n, np.uint32) if ranks else None
         if block.box == "float" and block.n >= self._packets_from:
@@ -210,13 +231,14 @@ class TriangleDistance:
             nearest_in_packets(
                 -(-block.n // (RUN * POINTS)), block.local, block.order, block.n, tree.nodes,
                 tree.leaves, rounded.triangles, rounded.boxes, tree.count, tree.first_leaf,
-                rounded.first, ranks=ranks, slots=slots, distances=distances, local=RUNS_TOGETHER,
+                rounded.first, ranks=ranks, slots=slots, distances=distances, **more,
+                local=RUNS_TOGETHER,
             )  # fmt: skip
             return distances, slots
         nearest_triangles = device.kernel(SOURCE, "nearest_triangles", BOX=block.box, **options)
         nearest_triangles(
             block.n, block.local, block.order, tree.nodes, tree.leaves, tree.first_leaf,
-            ranks=ranks, slots=slots, distances=distances,
+            ranks=ranks, slots=slots, distances=distances, **more,
         )  # fmt: skip
         return distances, slots
 

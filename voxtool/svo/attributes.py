@@ -36,7 +36,11 @@ class Kind(NamedTuple):
 KINDS = {
     "label": Kind(0, ("u1", "u2", "u4"), "index of the part's name"),
     "colour": Kind(4, ("u1",), "red, green, blue in sRGB, and opacity, from 0 to 255"),
-    "normal": Kind(3, ("f4",), "mean unit normal of the surface in the voxel, or 0 0 0"),
+    "normal": Kind(
+        3,
+        ("f4",),
+        "mean unit normal of the surface in the voxel, or that of its nearest point, or 0 0 0",
+    ),
     "area": Kind(0, ("f4",), "area of the surface in the voxel, in the mesh's unit squared"),
     "fraction": Kind(
         0, ("u1", "u2", "f4"), "share of the voxel inside; of whole numbers, times the largest one"

@@ -78,10 +78,7 @@ def place_mesh(
     """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window, of
     2**-bits voxel, with caps if their boundary is given; raise GridError if a vertex lies too far
     from the grid's corner."""
-    try:
-        fixed = grid.to_fixed(mesh.vertices, bits)
-    except GridError:  # vertices that no face uses may lie anywhere
-        fixed = grid.to_fixed(_used_vertices(mesh), bits)
+    fixed = fixed_of(mesh, grid, bits)
     if window is not None:
         low, shape = window
         grid = grid.window(low, shape)
@@ -97,6 +94,15 @@ def place_mesh(
             closed = device.put(np.concatenate([own[~boundary.alone], kept]))
     vertices = device.view(fixed)
     return LatticeMesh(device, grid, bits, fixed, vertices, faces, len(own), closed, closing, caps)
+
+
+def fixed_of(mesh: Mesh, grid: Grid, bits: int = FIXED_POINT_BITS) -> np.ndarray:
+    """Return the vertices of a mesh on the lattice of a grid, of 2**-bits voxel, (V, 3) int32; raise
+    GridError if one lies too far from the grid's corner."""
+    try:
+        return grid.to_fixed(mesh.vertices, bits)
+    except GridError:  # vertices that no face uses may lie anywhere
+        return grid.to_fixed(_used_vertices(mesh), bits)
 
 
 def _used_vertices(mesh: Mesh) -> np.ndarray:

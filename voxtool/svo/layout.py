@@ -40,6 +40,7 @@ HEADERS = {
     )
 }
 
+AT_ONCE = 1 << 16  # bricks whose bits are unpacked at once
 BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of each bit
 
 
@@ -49,11 +50,24 @@ def descend(codes: np.ndarray, levels: int = 1) -> np.ndarray:
     return ((codes << np.uint64(3 * levels))[:, None] | below).ravel()
 
 
+def unpack_bits(bricks: np.ndarray) -> np.ndarray:
+    """Return the (M, 64) uint8 bits of (M,) masks."""
+    octets = np.ascontiguousarray(bricks, BRICK).view(np.uint8).reshape(-1, BRICK.itemsize)
+    return np.unpackbits(octets, axis=1, bitorder="little")
+
+
+def held_in(masks: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return which voxels of (M,) masks, brick by brick in the order of the bits, are in the masks
+    of `others`, too, (N,) bool."""
+    some = np.flatnonzero(masks)
+    parts = (some[i : i + AT_ONCE] for i in range(0, len(some), AT_ONCE))
+    found = (unpack_bits(others[part])[unpack_bits(masks[part]) != 0] != 0 for part in parts)
+    return np.concatenate([np.empty(0, bool), *found])
+
+
 def unpack_bricks(bricks: np.ndarray) -> np.ndarray:
     """Return the (M, 4, 4, 4) bool voxels of (M,) masks, indexed [brick, x, y, z]."""
-    bits = np.unpackbits(
-        np.ascontiguousarray(bricks, BRICK).view(np.uint8), bitorder="little"
-    ).reshape(-1, 64)
+    bits = unpack_bits(bricks)
     x, y, z = BRICK_VOXELS.T
     dense = np.empty((len(bricks), BRICK_SIDE, BRICK_SIDE, BRICK_SIDE), bool)
     dense[:, x, y, z] = bits

@@ -274,6 +274,15 @@ class VoxelizeJob(Job[Octree]):
             job.plan = replace(job.plan, **forced)
         return job
 
+    def within(self, window: Window) -> VoxelizeJob:
+        """Return the job of another window, by the same rule."""
+        plan = self.plan
+        mode, _, added = plan.mode.partition("+")
+        rule: Any = {"fill": plan.fill if plan.solid else "auto", "gap": plan.gap}
+        place: Any = {"device": self.device, "max_memory": self.max_memory}
+        rule |= {"with_surface": bool(added), "window": window}
+        return plan_voxelize(self.mesh, self._whole, mode, **rule, **place)
+
     def capped(self) -> VoxelizeJob:
         """Return the job of the mesh that its caps close, in which they count as faces."""
         if not self.plan.caps:

@@ -1,12 +1,17 @@
 """Attributes of surfaces in windows: each window's from the faces that reach it.
 
 The octree is made by the windows of its own job, which may be labelled (labelled.py); what a face
-gives a voxel depends on no other voxel.
+gives a voxel depends on no other voxel. Which voxels are exposed depends on those around the
+window. So once all windows are made, each is completed: the octree waits on disk beside them, and
+what lies around a window is read from it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,14 +21,25 @@ from voxtool.choices import COLOURS
 from voxtool.files.windows import Key, Window
 from voxtool.mesh.appearance import Appearance
 from voxtool.svo.attributes import Attribute
+from voxtool.svo.attribution.colours import EXPOSED as STAGE
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
+from voxtool.svo.attribution.exposed import exposed_voxels, with_exposed
 from voxtool.svo.attribution.look import textures_of
+from voxtool.svo.attribution.nearest_surface import NearestSurface
 from voxtool.svo.attribution.surface_pass import without_values
+from voxtool.svo.cells import cube
+from voxtool.svo.content import StoredOctree
+from voxtool.svo.layout import BRICK, NODE
+from voxtool.svo.links import FULL, REFINED, nodes_of, offsets_of
+from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.flooding import FloodWindowsJob, filled
 from voxtool.tiles.labelled import LabelWindowsJob
-from voxtool.tiles.subtree import codes_of
-from voxtool.tiles.windows import MARGIN, Content, WindowsJob, attributed, mesh_of
+from voxtool.tiles.operations import Operand
+from voxtool.tiles.subtree import Subtree, codes_of, leaf_subtree, subtree_of
+from voxtool.tiles.windows import MARGIN, Content, Part, WindowsJob, attributed, mesh_of
+
+EXPOSED = "exposed voxels of window"  # as progress says it
 
 
 class AttributeWindowsJob(WindowsJob):
@@ -52,14 +68,68 @@ class AttributeWindowsJob(WindowsJob):
     def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> SurfaceAttributesJob:
         whole = self._whole_job
         mesh = mesh_of(whole.mesh, self._faces_near(key, faces, MARGIN, rows=False))
-        colour = COLOURS[whole.plan.nearest]
-        return SurfaceAttributesJob(
-            job, mesh, whole.plan.names, colour, self.device, self.max_memory
-        )
+        look = whole.plan.names, COLOURS[whole.plan.nearest]
+        return SurfaceAttributesJob(job, mesh, *look, self.device, self.max_memory, alone=True)
 
     def _finished(self, key: Key, faces: np.ndarray) -> Window:
         made = self._complete(self._job(key, faces), key, faces)
         return attributed(made._run(), key[3])
+
+    def _tree(self) -> Subtree:
+        tree = super()._tree()
+        if not self._whole_job.plan.exposed:
+            return tree
+        self._done = 0
+        octree = Operand(self._on_disk(tree), np.zeros(3, np.int64))
+        surface = self._whole_job.whole_surface
+        for key in self._leaves(self.plan.root):
+            self._report(EXPOSED)
+            with self.device.reporting(lambda _: None), self.device.stage(STAGE):
+                self._complete_window(key, octree, surface)
+        return super()._tree()
+
+    def _on_disk(self, tree: Subtree) -> StoredOctree:
+        """Return the octree of all windows, which waits on disk."""
+        bricks = chain.from_iterable(map(self.store.bricks, self._used))
+        arrays = (
+            offsets_of(tree.levels, tree.bricks).astype(np.uint32),
+            self.store.mapped("nodes", NODE, nodes_of(tree.levels)),
+            self.store.mapped("bricks", BRICK, bricks),
+        )
+        return StoredOctree(self.grid, *self._rule, *arrays, {}, "", "")  # pyright: ignore[reportArgumentType]
+
+    def _leaves(self, part: Part) -> Iterator[Key]:
+        """Yield the windows and the full cubes between them."""
+        part = self._divided_part(part)
+        for half in part.parts:
+            yield from self._leaves(half)
+        if part.key in self.store or (not part.parts and self._leaf(part.key) == FULL):
+            yield part.key
+
+    def _complete_window(self, key: Key, whole: Operand, surface: NearestSurface) -> None:
+        """Give the exposed voxels of a cube their values."""
+        if whole.state(key, 1) != REFINED:
+            return
+        around, corner = whole.part(key, 1, math.inf)
+        box = -corner, np.full(3, key[3])
+        exposed = exposed_voxels(around, *box, self.device, self.max_memory)
+        own = self._octree(key)
+        made = with_exposed(own, exposed, surface, np.array(key[:3]), self._whole_job.names)
+        if made is not own:
+            count = self.store.voxels(key) if key in self.store else key[3] ** 3
+            levels = subtree_of(made, key[3]).levels
+            self.store.put(key, Window.of(levels, made.bricks, count, made.attributes))
+
+    def _octree(self, key: Key) -> Octree:
+        """Return a window, or a full cube."""
+        levels, bricks = leaf_subtree(key[3], FULL).levels, np.empty(0, BRICK)
+        attributes = self._kinds()
+        if key in self.store:
+            levels, _ = self.store.get(key)
+            bricks = np.concatenate([bricks, *self.store.bricks(key)])
+            attributes = [self.store.load(key, one) for one in attributes]
+        octree = Octree.of_states(cube(key[3]), *self._rule, levels, bricks)
+        return replace(octree, attributes=tuple(attributes))
 
     def _scene(self) -> dict[str, Any]:
         return self._whole_job.scene(super()._scene())

@@ -49,8 +49,9 @@ class Operand:
         self._cells: dict[int, Cells] = {}
 
     def cells(self, side: int) -> Cells:
-        """Return its cells of `side` voxels, or of its own if these are fewer."""
-        side = min(side, self.octree.grid.side)
+        """Return its cells of `side` voxels, or of its own if these are fewer; of more if MOST of
+        them do not reach along it."""
+        side = min(max(side, self.octree.grid.side // MOST), self.octree.grid.side)
         if side not in self._cells:
             self._cells[side] = Cells(self.octree, side)
         return self._cells[side]

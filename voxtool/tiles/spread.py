@@ -29,7 +29,6 @@ from voxtool.tiles.cluster import results, sent_once, threads_of
 from voxtool.tiles.flooding import OUTSIDE, FloodWindowsJob
 from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.merging import MergingJob
-from voxtool.tiles.subtree import Subtree
 from voxtool.tiles.windows import (
     MARGIN,
     Part,
@@ -208,8 +207,8 @@ class SpreadJob(WindowsJob):
         """Return a function that returns what a worker needs for the attributes of a window."""
         return lambda key, faces: None
 
-    def _made(self, part: Part) -> Subtree:
-        return super()._made(self._divided.get(part.key, part))
+    def _divided_part(self, part: Part) -> Part:
+        return self._divided.get(part.key, part)
 
 
 class SpreadMergingJob(SpreadJob, MergingJob):
@@ -223,7 +222,7 @@ class SpreadMergingJob(SpreadJob, MergingJob):
         self._make(self._missing(self.plan.root, self.all_faces))
 
     def _merged(self, part: Part, faces: np.ndarray) -> Subtrees:
-        return super()._merged(self._divided.get(part.key, part), faces)
+        return super()._merged(self._divided_part(part), faces)
 
 
 class SpreadFloodJob(SpreadJob, FloodWindowsJob):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +22,7 @@ from voxtool.files.windows import Key, Window, Windows
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.subset import mesh_of
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.attributes import Attribute
@@ -260,8 +261,7 @@ class WindowsJob(Job[BlockOctree]):
         self._prepare()
         self._done = 0
         self._make(self._missing(root, self.all_faces))
-        self._used: list[Key] = []
-        tree = self._made(root)
+        tree = self._tree()
         mesh = self.mesh
         origin = (mesh.source_sha256, mesh.units, mesh.transform)
         count = sum(map(self.store.voxels, self._used))
@@ -319,11 +319,21 @@ class WindowsJob(Job[BlockOctree]):
         """Return the state of a cube that is no window."""
         return EMPTY
 
+    def _tree(self) -> Subtree:
+        """Return the tree of the octree; its bricks wait on disk, in the windows that are used."""
+        self._used: list[Key] = []
+        return self._made(self.plan.root)
+
+    def _divided_part(self, part: Part) -> Part:
+        """Return a cube as it was divided in the end."""
+        return part
+
     def _made(self, part: Part) -> Subtree:
         """Return the subtree of a cube; its bricks wait on disk."""
+        part = self._divided_part(part)
         if part.parts:
             return joined([self._made(half) for half in part.parts])
-        if not part.window:
+        if part.key not in self.store:
             return leaf_subtree(part.key[3], self._leaf(part.key))
         self._used.append(part.key)
         levels, bricks = self.store.get(part.key)
@@ -371,26 +381,6 @@ def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
     return x, y, z
 
 
-def mesh_of(mesh: Mesh, faces: np.ndarray) -> Mesh:
-    """Return the mesh of some faces, with their appearance."""
-    if len(faces) == len(mesh.faces):
-        return mesh
-    used = np.zeros(len(mesh.vertices), bool)
-    used[mesh.faces[faces]] = True
-    index = np.cumsum(used, dtype=np.int32) - 1
-    look = mesh.appearance
-    if look is not None:
-        uv, colours = look.uv, look.colours
-        look = replace(
-            look,
-            material=look.material[faces],
-            uv=None if uv is None else uv[faces],
-            colours=None if colours is None else colours[used],
-        )
-    arrays = {"vertices": mesh.vertices[used], "faces": index[mesh.faces[faces]]}
-    return replace(mesh, **arrays, parts={}, appearance=look)
-
-
 def leaves_of(attribute: Attribute, tree: Subtree) -> np.ndarray:
     """Return the values of inside leaves of a tree: only labels have some."""
     own = tree.labels if attribute.name == "label" else ()
@@ -398,8 +388,9 @@ def leaves_of(attribute: Attribute, tree: Subtree) -> np.ndarray:
 
 
 def stored_bytes(plan: Any) -> int:
-    """Return the predicted bytes of the octree of a plan in a file, with its attributes."""
-    values = getattr(plan, "stored_values", 0)
+    """Return the predicted bytes of the octree of a plan in a file, with its attributes, and of a
+    copy that waits beside it."""
+    values = getattr(plan, "stored_values", 0) + getattr(plan, "waiting", 0)
     return NODE_BYTES * plan.nodes + BRICK_BYTES * plan.bricks + values
 
 

@@ -162,7 +162,8 @@ def with_attributes(
     """
     if look is not None and materials is not None:
         mesh = replace(mesh, appearance=replace(look, materials=materials))
-    return SurfaceAttributesJob(job, mesh, names, colour, job.device, job.max_memory)
+    place = job.device, job.max_memory
+    return SurfaceAttributesJob(job, mesh, names, colour, *place, alone=True)
 
 
 def _made(

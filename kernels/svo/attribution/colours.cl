@@ -158,7 +158,9 @@ __kernel void finish_values(const uint n, __global const CODE *codes, __global c
                 open_cutter(&parts, &t, 2);
                 const part *own = part_in(&parts, low + morton_decode(place));
                 const skin colours_of = skin_of(THIS_LOOK, faces, face);
-                colour = nearest ? nearest_colour(&colours_of, own) : levels_of(mean_colour(&colours_of, own));
+                double u, v;
+                find_centre(own, &u, &v);
+                colour = nearest ? nearest_colour(&colours_of, u, v) : levels_of(mean_colour(&colours_of, own));
             } else {
                 colour = levels_of(convert_double4(vload4(index, colour_sums)) / (double)area);
             }

@@ -295,15 +295,31 @@ skin skin_of(LOOK, __global const int *faces, uint face)
     return k;
 }
 
+// The colour at a place of a face, without its texture.
+double4 paint_at(const skin *k, double u, double v)
+{
+    if (!k->painted)
+        return k->material;
+    return k->material *
+           (k->corners[0] + (k->corners[1] - k->corners[0]) * u + (k->corners[2] - k->corners[0]) * v);
+}
+
+// The colour at a place of a face.
+double4 colour_at(const skin *k, double u, double v)
+{
+    const double4 colour = paint_at(k, u, v);
+    if (!k->textured)
+        return colour;
+    return colour * share_of(sample(&k->t, k->s.d + k->s.u * u + k->s.v * v, k->r.d + k->r.u * u + k->r.v * v));
+}
+
 // The mean colour of a part. Colours of vertices that multiply a texture are those at the centre.
 double4 mean_colour(const skin *k, const part *p)
 {
-    double4 colour = k->material;
-    if (k->painted) {
-        double u, v;
+    double u = 0, v = 0;
+    if (k->painted)
         find_centre(p, &u, &v);
-        colour *= k->corners[0] + (k->corners[1] - k->corners[0]) * u + (k->corners[2] - k->corners[0]) * v;
-    }
+    const double4 colour = paint_at(k, u, v);
     return k->textured ? colour * share_of(texture_mean(&k->t, p, k->s, k->r)) : colour;
 }
 
@@ -328,11 +344,9 @@ uchar4 levels_of(double4 light)
     return (uchar4)(level_of(light.x), level_of(light.y), level_of(light.z), (uchar)(alpha * 255 + 0.5));
 }
 
-// The colour at the centre of a part: its texel, and the colour of its nearest corner, as they are.
-uchar4 nearest_colour(const skin *k, const part *p)
+// The colour at a place of a face: that of its texel, as it is, and of its nearest corner.
+uchar4 nearest_colour(const skin *k, double u, double v)
 {
-    double u, v;
-    find_centre(p, &u, &v);
     const double w = 1 - u - v;
     const int corner = w >= u && w >= v ? 0 : u >= v ? 1 : 2;
     const double4 colour = k->painted ? k->material * k->corners[corner] : k->material;

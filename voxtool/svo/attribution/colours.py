@@ -8,8 +8,12 @@ common side of two voxels counts by half in each. A voxel that the surface only 
 values of its lowest triangle. With "nearest", the colour is that of
 the greatest part at its centroid, as texel, vertex and material have it.
 
+Exposed voxels of a solid that the surface does not meet have the colour and the normal of its
+nearest point (exposed.py).
+
 The stages: the octree, by its own job; the surface, as mode surface26 has it; the pairs of a
-triangle and a voxel, by scan conversion, once for all attributes; the values (surface_pass.py).
+triangle and a voxel, by scan conversion, once for all attributes; the values (surface_pass.py); of
+a solid, exposed voxels.
 """
 
 from __future__ import annotations
@@ -27,12 +31,25 @@ from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
+from voxtool.svo.attribution.exposed import (
+    UNSEEN,
+    Bricks,
+    exposed_bytes,
+    exposed_voxels,
+    with_exposed,
+)
 from voxtool.svo.attribution.look import (
     NO_LOOK,
     check_look,
     look_arguments,
     look_bytes,
     texels_of,
+)
+from voxtool.svo.attribution.nearest_surface import (
+    NearestSurface,
+    placed_bytes,
+    programs,
+    search_bytes,
 )
 from voxtool.svo.attribution.surface_pass import (
     SOURCE,
@@ -41,7 +58,7 @@ from voxtool.svo.attribution.surface_pass import (
     SurfaceValues,
     without_values,
 )
-from voxtool.svo.layout import BRICK_BYTES
+from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.scan import SOURCE as SCAN
@@ -49,6 +66,7 @@ from voxtool.svo.scan import ActiveNodes, Scan, find_active_nodes
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 AREA_BYTES, COLOUR_BYTES, NORMAL_BYTES, INDEX_BYTES = 8, 36, 36, 8  # of a surface voxel
+EXPOSED = "exposed voxels"  # a stage
 
 
 @dataclass(frozen=True)
@@ -63,12 +81,13 @@ class AttributePlan:
     texels: int
     look: int  # bytes of the appearance
     shared: bool  # the octree's own scan serves: it is this surface
+    exposed: bool  # voxels that the surface does not meet may be exposed, and have values
 
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
         own = [] if self.shared else ["surface"]
-        return [*self.octree.stages, *own, "attributes"]
+        return [*self.octree.stages, *own, "attributes", *[EXPOSED] * self.exposed]
 
     @property
     def values(self) -> int:
@@ -93,15 +112,25 @@ class AttributePlan:
         return getattr(self.octree, "stored_values", 0) + each * self.values + masks
 
     @property
+    def waiting(self) -> int:
+        """Predicted bytes of the octree on the disk, from which windows are completed."""
+        return (NODE_BYTES * self.nodes + BRICK_BYTES * self.bricks) * self.exposed
+
+    @property
     def cost(self) -> Cost:
         """The predicted bytes."""
         of = {"colour": COLOUR_BYTES, "normal": NORMAL_BYTES, "area": AREA_BYTES}
         each = AREA_BYTES + INDEX_BYTES + sum(of[name] for name in self.names)
         inner, surface = self.octree.cost, self.surface.cost
         device = surface.device + each * self.values + self.look
+        search = eroded = placed = 0
+        if self.exposed:
+            triangles = self.surface.survey.triangles
+            search = search_bytes(triangles, self.values) + self.look
+            eroded, placed = exposed_bytes(self.bricks), placed_bytes(triangles)
         return Cost(
-            device=max(inner.device, device),
-            host=inner.host + 2 * each * self.values,
+            device=max(inner.device, device, search, eroded),
+            host=inner.host + 2 * each * self.values + eroded + placed,
             largest=max(inner.largest, surface.largest, 32 * self.values, self.look),
         )
 
@@ -115,6 +144,10 @@ class AttributePlan:
             out["colours"] = f"{' and '.join(self.names)} alone were asked for"
         if self.shared:
             out["a second scan of the surface"] = "the octree is the surface"
+        if not self.exposed:
+            surface = "solid" not in self.octree.mode
+            why = "the surface meets every voxel" if surface else "areas are where the surface is"
+            out["values of exposed voxels"] = why
         return out
 
     def as_dict(self) -> dict[str, Any]:
@@ -140,7 +173,10 @@ class AttributePlan:
         if "colour" in self.names:
             rule = "of the greatest part" if self.nearest else "means by area"
             text += f"; colours are {rule}, of {self.materials:,} materials, {self.texels:,} texels"
-        return [*self.octree.rows(), ("attributes", text)]
+        rows = [*self.octree.rows(), ("attributes", text)]
+        if self.exposed:
+            rows.append(("exposed", "where the surface does not meet them, of its nearest point"))
+        return rows
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the job needs more bytes than these."""
@@ -193,7 +229,13 @@ def plan_attributes(
 
 
 class SurfaceAttributesJob(Job[Octree]):
-    """A voxelization whose surface voxels have colours and normals."""
+    """A voxelization whose surface voxels have colours and normals.
+
+    Attributes
+    ----------
+    alone : bool
+        What lies around the window is not known, so that exposed voxels get no values.
+    """
 
     device: Device
     plan: AttributePlan
@@ -207,8 +249,10 @@ class SurfaceAttributesJob(Job[Octree]):
         colour: str,
         device: Device | None,
         max_memory: int | None,
+        *,
+        alone: bool = False,
     ) -> None:
-        self.inner, self.mesh = inner, mesh
+        self.inner, self.mesh, self.alone = inner, mesh, alone
         self.max_memory = inner.max_memory if max_memory is None else max_memory
         coloured = "colour" in names
         look = check_look(mesh) if coloured else None
@@ -224,6 +268,7 @@ class SurfaceAttributesJob(Job[Octree]):
             texels_of(look) if look else 0,
             look_bytes(mesh) if coloured else 0,
             whole,
+            "solid" in inner.plan.mode and set(names) != {UNSEEN},
         )
 
     def _surface(self, device: Device | None) -> VoxelizeJob:
@@ -261,7 +306,34 @@ class SurfaceAttributesJob(Job[Octree]):
             octree, surface = self.inner._run(), self.surface_values()
         plan = self.scene(octree.plan)
         more = surface.attributes(octree.levels()[-1].codes, octree.bricks)
-        return replace(octree, attributes=(*octree.attributes, *more), plan=plan)
+        octree = replace(octree, attributes=(*octree.attributes, *more), plan=plan)
+        if not self.plan.exposed or self.alone:
+            return octree
+        with self.stage(EXPOSED):
+            low = np.array(self.surface.window[0] if self.surface.window else (0, 0, 0))
+            return with_exposed(octree, self._exposed(octree), self.whole_surface, low, self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The attributes of the surface."""
+        return self.plan.names
+
+    @property
+    def whole_surface(self) -> NearestSurface:
+        """The surface, of whose nearest points voxels take values."""
+        place = self.device, self.max_memory
+        return NearestSurface(self.mesh, self.surface.whole, self.plan.nearest, *place)
+
+    def _exposed(self, octree: Octree) -> Bricks:
+        """Return the exposed voxels; those of a window also depend on the voxels around it."""
+        inner: Any = self.inner
+        low, shape = np.zeros(3, np.int64), np.array(octree.grid.shape)
+        if self.surface.window:
+            begin = np.maximum(np.array(self.surface.window[0]) - 1, 0)
+            low = self.surface.window[0] - begin
+            end = np.minimum(begin + low + shape + 1, self.surface.whole.shape)
+            octree = inner.within((begin.tolist(), (end - begin).tolist()))._run()
+        return exposed_voxels(octree, low, shape, self.device, self.max_memory)
 
     def surface_values(self) -> SurfaceValues:
         """Return the values of the surface's voxels, by a pass of its own."""
@@ -300,6 +372,8 @@ class SurfaceAttributesJob(Job[Octree]):
         """Return the values of all voxels in the bricks of the active nodes."""
         device, plan, count = self.device, self.plan, 16 * active.nodes.n
         device.prepare((SOURCE, scan.options))
+        if plan.exposed and not self.alone:
+            device.prepare(*programs(device, plan.values // 2))
         starts = device.empty(count + 1, np.uint32)
         scan.kernel(SCAN, "count_bits")(count, bricks, starts)
         n = exclusive_scan(starts, count)

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from voxtool.grid import Grid
 from voxtool.opencl import Array, program
-from voxtool.svo.attributes import BITS, Attribute
-from voxtool.svo.layout import BRICK
+from voxtool.svo.attributes import Attribute
+from voxtool.svo.layout import BRICK, held_in
 from voxtool.svo.scan import ActiveNodes, Scan
 
 SOURCE = "svo/attribution/colours.cl"
@@ -21,7 +22,12 @@ OPPOSED = 1 << 16  # a sum of normals shorter than this share of the area is 0
 UNIT = 1 << 32  # of an area: that of a voxel's largest face
 HEADERS = {"svo/attribution/colours.h": program.c_constants(OPPOSED=OPPOSED, UNIT=UNIT)}
 NO_FACE = np.uint32(0xFFFFFFFF)
-INSIDE_COLOUR = (128, 128, 128, 255)  # of set voxels that the surface does not meet
+INSIDE_COLOUR = (
+    128,
+    128,
+    128,
+    255,
+)  # of set voxels that are neither exposed nor met by the surface
 DEFAULTS = {"colour": INSIDE_COLOUR, "normal": (0, 0, 0), "area": 0}
 VALUES = {"colour": ((4,), np.uint8), "normal": ((3,), np.float32), "area": ((), np.float32)}
 TARGETS = ("areas", "colour_sums", "normal_sums", "greatest", "faces_of")  # of a pass
@@ -67,7 +73,7 @@ class Pass:
             self.finish(int(nearest), faces_of, sums, values)
         found = {name: array.take().reshape(n, -1) for name, array in values.items()}
         if "area" in names:
-            unit = max(_face_areas(self.scan)) / UNIT
+            unit = max(_face_areas(self.scan.mesh.grid)) / UNIT
             found["area"] = (sums["areas"].get() * unit).astype(np.float32)
         return found
 
@@ -76,7 +82,7 @@ class Pass:
         shares, triangles = self.scan.shares(0)
         self.scan.kernel(SOURCE, "add_parts")(
             shares, **triangles, **self.active.lookup, **self.look, masks=self.bricks,
-            starts=self.starts, scale=_scale(self.scan), inner_low=self.inner_low,
+            starts=self.starts, scale=scale_of(self.scan.mesh.grid), inner_low=self.inner_low,
             inner_high=self.inner_high, **{**dict.fromkeys(TARGETS), **targets},
         )  # fmt: skip
 
@@ -87,8 +93,8 @@ class Pass:
         mesh = self.scan.mesh
         self.scan.kernel(SOURCE, "finish_values")(
             16 * self.active.nodes.n, self.active.nodes.codes, self.bricks, self.starts,
-            mesh.vertices, mesh.faces, **self.look, scale=_scale(self.scan), nearest=nearest,
-            areas=sums.get("areas"), colour_sums=sums.get("colour_sums"),
+            mesh.vertices, mesh.faces, **self.look, scale=scale_of(mesh.grid),
+            nearest=nearest, areas=sums.get("areas"), colour_sums=sums.get("colour_sums"),
             normal_sums=sums.get("normal_sums"), faces_of=faces_of,
             colour_values=values.get("colour"), normal_values=values.get("normal"),
         )  # fmt: skip
@@ -101,16 +107,16 @@ def without_values(name: str) -> Attribute:
     return Attribute(name, none, none, default=DEFAULTS[name])
 
 
-def _face_areas(scan: Scan) -> tuple[float, float, float]:
+def _face_areas(grid: Grid) -> tuple[float, float, float]:
     """Return the areas of a voxel's faces across x, y and z, in world units."""
-    x, y, z = scan.mesh.grid.pitch
+    x, y, z = grid.pitch
     return y * z, z * x, x * y
 
 
-def _scale(scan: Scan) -> tuple[float, float, float]:
+def scale_of(grid: Grid) -> tuple[float, float, float]:
     """Return what components of a cross product on the lattice are multiplied by, for a normal in
     world units: equal ones where voxels are cubes."""
-    areas = _face_areas(scan)
+    areas = _face_areas(grid)
     return tuple(one / max(areas) for one in areas)  # pyright: ignore[reportReturnType]
 
 
@@ -146,5 +152,4 @@ class SurfaceValues:
             both = own[place] == codes
             held[both] = bricks[both] & self.masks[place[both]]
             kept[place[both]] = held[both]
-        set_ = (self.masks[:, None] & BITS) != 0
-        return held, ((kept[:, None] & BITS) != 0)[set_]
+        return held, held_in(self.masks, kept)
