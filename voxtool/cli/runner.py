@@ -89,13 +89,8 @@ class Run:
     # ---- where the result goes
 
     def to(self, source: str, default: str, formats: Iterable[str]) -> None:
-        """Choose the output and its format, and refuse an output that cannot be written.
-
-        Parameters
-        ----------
-        source : the input's name, for the report.
-        default : the output without -o.
-        formats : those that can be written, of voxtool.files.formats or voxtool.files.answers.
+        """Choose the output, without -o the `default`, and its format, one of `formats`; refuse an
+        output that cannot be written. The report names the `source`.
 
         Raises
         ------
