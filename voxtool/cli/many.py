@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options
+from voxtool.cli.inputs import refuse_inputs
 from voxtool.cli.options import Parsed, flag, option, together
 from voxtool.cli.runner import SHARED
 from voxtool.errors import CheckError, DeviceError, VoxtoolError, human, printable
@@ -156,6 +157,8 @@ class Many:
         if self.folder is not None and not self.values["only_plan"]:
             from voxtool.files.manifest import Manifest, make_folder
 
+            if not self.values["overwrite"]:
+                refuse_inputs([*(str(task.output) for task in tasks), *filter(None, [self.tar])])
             if self.tar and self.is_packed(self.tar):
                 self.counts["up to date"] = len(tasks)
                 return self.summarize(None, time.perf_counter() - began)

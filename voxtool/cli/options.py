@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import math
-import os
 import re
 import sys
 import threading
@@ -234,6 +233,10 @@ lattice_options = together(
         metavar="S"),
 )  # fmt: skip
 clobber_option = flag("--no-clobber", "Refuse to replace an existing file.")
+clobber_options = together(
+    clobber_option,
+    flag("--overwrite", "Let the output replace an input of the command."),
+)
 strict_option = flag("--strict", "Exit with 1 if there is a warning of the input or the result.")
 json_option = flag("--json as_json", "Print JSON.")
 quiet_option = flag("-q --quiet", "Nothing on stderr but errors.")
@@ -269,9 +272,9 @@ def format_option(*formats: str) -> Decorator:
 
 
 def output_options(metavar: str, default: str) -> Decorator:
-    """-o and --no-clobber."""
+    """-o, --no-clobber and --overwrite."""
     about = f"Where to write; - is stdout. {default}"
-    return together(option("-o --output", str, about, metavar=metavar), clobber_option)
+    return together(option("-o --output", str, about, metavar=metavar), clobber_options)
 
 
 def check_placing(like: str | None, placing: Mapping[str, Any]) -> None:
@@ -328,11 +331,6 @@ def points_of(points: str | None, name: str, other: str, hint: str) -> str:
     if points in (None, "-") and sys.stdin.isatty():
         raise click.UsageError(f"there are no POINTS: {hint}")
     return points or "-"
-
-
-def same_file(one: str, other: str) -> bool:
-    """True if two names are of one file that exists."""
-    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
 def shown(source: str) -> str:
