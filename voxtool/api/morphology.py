@@ -44,7 +44,7 @@ def plan_morph(
         radius of an unset one), "open" (eroded, then dilated), "close" (dilated, then eroded), or
         "shell" (only those within the radius of an unset one). All beyond the grid is unset.
     radius
-        in voxels, from centre to centre; up to 128 voxels. Squares are compared exactly, of the
+        in voxels, from centre to centre; from 1 to 128 voxels. Squares are compared exactly, of the
         number as it is given.
     world
         the radius is in world units; voxels need not be cubes.
@@ -64,7 +64,7 @@ def plan_morph(
     Raises
     ------
     VoxtoolError
-        an argument is out of range.
+        an argument is out of range, or the radius is less than one voxel.
     MemoryLimitError
         the result would not fit. DeviceError : no usable device.
 

@@ -91,7 +91,7 @@ def command(
     \b
     Examples:
       voxtool morph bunny.svo.h5 --close 8 -o closed.svo.h5
-      voxtool morph bunny.svo.h5 --shell 0.002 --world -o hollow.svo.h5
+      voxtool morph bunny.svo.h5 --shell 0.02 --world -o hollow.svo.h5
       voxtool morph bunny.svo.h5 --keep largest -o body.svo.h5
       voxtool morph bunny.svo.h5 --components -o labels.npy
       voxtool morph bunny.svo.h5 --resample --dim 64 -o coarse.svo.h5
@@ -127,10 +127,17 @@ def command(
 
 def check_request(request: dict[str, Any]) -> None:
     """Refuse a request of no operation, of several, or with options of another one."""
-    by_radius = [f"--{name}" for name in MORPHOLOGY if request[name] is not None]
-    by_size = ["--keep", "--min-size"] if request["keep"] or request["min_size"] else []
-    others = [name for name in ("components", "fill_cavities", "thin", "resample") if request[name]]
-    if len(by_radius) + bool(by_size) + len(others) != 1:
+
+    def given_of(*names: str) -> list[str]:
+        given = [n for n in names if request[n] is not None and request[n] is not False]
+        return [f"--{name.replace('_', '-')}" for name in given]
+
+    by_radius, by_size = given_of(*MORPHOLOGY), given_of("keep", "min_size")
+    asked = [*by_radius, *by_size[:1], *given_of("components", "fill_cavities", "thin", "resample")]
+    if len(asked) > 1:
+        *first, last = asked
+        raise click.UsageError(f"one operation a call: drop {', '.join(first)} or {last}")
+    if not asked:
         every = ", ".join(f"--{name}" for name in MORPHOLOGY)
         raise click.UsageError(
             f"what is to be done? Give one of {every}, --keep or --min-size, --components, "
@@ -140,7 +147,7 @@ def check_request(request: dict[str, Any]) -> None:
         raise click.UsageError("--world and --shape go with a radius, as of --close")
     if request["neighbours"] and not (by_size or request["components"]):
         raise click.UsageError("--neighbours goes with --keep, --min-size and --components")
-    given = [f"--{name}" for name in (*PLACING, "like", "threshold") if request[name] is not None]
+    given = given_of(*PLACING, "like", "threshold")
     if given and not request["resample"]:
         raise click.UsageError(f"{given[0]} goes with --resample")
     if request["resample"]:

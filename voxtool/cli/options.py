@@ -173,7 +173,7 @@ def colour_of(text: str) -> tuple[float, ...]:
 
 
 POSITIVE = Parsed("number", positive_of, " is no positive number")
-RADIUS = Parsed("radius", radius_of, " is no radius: give 0 or more")
+RADIUS = Parsed("radius", radius_of, " is no radius: give 1 voxel or more")
 COMPONENTS = Parsed(
     "components", number_to_keep, " is no number of components: write largest, or 3"
 )
