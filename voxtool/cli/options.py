@@ -14,14 +14,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from voxtool.choices import FITS, LENGTH_UNITS, MAX_DIM, MIN_DIM, NORMALIZED
+from voxtool.choices import LENGTH_UNITS, MAX_DIM, MIN_DIM, NORMALIZED
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from voxtool.grid import Grid
-    from voxtool.mesh.mesh import Mesh
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -80,14 +77,6 @@ def numbers_of(text: str, count: int) -> tuple[float, ...]:
     """Return this many finite numbers, which commas separate."""
     numbers = tuple(map(float, text.split(",")))
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise ValueError
-    return numbers
-
-
-def whole_numbers_of(text: str) -> tuple[int, ...]:
-    """Return three whole numbers, which commas separate."""
-    numbers = tuple(map(int, text.split(",")))
-    if len(numbers) != 3:
         raise ValueError
     return numbers
 
@@ -210,28 +199,6 @@ device_option = option(
     "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
     metavar="DEVICE",
 )  # fmt: skip
-bbox_option = option(
-    "--bbox", float, "Box that the grid covers, in world units, instead of the mesh's.", nargs=6,
-    metavar="X0 Y0 Z0 X1 Y1 Z1",
-)  # fmt: skip
-POINT = Parsed("point", lambda text: numbers_of(text, 3), " is no point: write 0,1.5,-2")
-SPACING = Parsed(
-    "spacing",
-    lambda text: numbers_of(text, 3) if "," in text else numbers_of(text, 1)[0],
-    " is no size of a voxel: write 0.5, or 0.5,0.5,2",
-)
-LATTICE = ("origin", "shape", "spacing")  # options that give a grid by its own numbers
-lattice_options = together(
-    option("--like", str,
-        "Use the grid of another octree, or of an image or array that `voxtool import` reads.",
-        metavar="FILE"),
-    option("--origin", POINT, "With --shape and --spacing: the low corner of the grid.",
-        metavar="X,Y,Z"),
-    option("--shape", Parsed("shape", whole_numbers_of, " is no shape: write 256,256,128"),
-        "Voxels along each axis.", metavar="NX,NY,NZ"),
-    option("--spacing", SPACING, "Size of a voxel, in world units: one number or three.",
-        metavar="S"),
-)  # fmt: skip
 clobber_option = flag("--no-clobber", "Refuse to replace an existing file.")
 clobber_options = together(
     clobber_option,
@@ -275,39 +242,6 @@ def output_options(metavar: str, default: str) -> Decorator:
     """-o, --no-clobber and --overwrite."""
     about = f"Where to write; - is stdout. {default}"
     return together(option("-o --output", str, about, metavar=metavar), clobber_options)
-
-
-def check_placing(like: str | None, placing: Mapping[str, Any]) -> None:
-    """Refuse options that place the grid in two ways."""
-    given = [f"--{name}" for name, value in placing.items() if value not in (None, FITS[0])]
-    own = [name for name in given if name[2:] in LATTICE]
-    if own and len(own) < len(LATTICE):
-        raise click.UsageError("--origin, --shape and --spacing go together: give all three")
-    if own and not like and len(given) > len(LATTICE):
-        others = " and ".join(name for name in given if name not in own)
-        raise click.UsageError(f"--origin, --shape and --spacing set the grid: drop {others}")
-    if like and given:
-        raise click.UsageError(f"--like sets the grid: drop {' and '.join(given)}")
-    if {"--dim", "--pitch"} <= set(given):
-        raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
-    if "--fit" in given and set(given) - {"--fit", "--dim"}:
-        raise click.UsageError(
-            "--fit stretch goes with --dim alone: drop --pitch, --bbox, --margin"
-        )
-
-
-def grid_from(mesh: Mesh, like: str | None, placing: Mapping[str, Any]) -> Grid:
-    """Return the grid that the options place, around a mesh where they do not say."""
-    from voxtool.grid import Grid
-
-    if like:
-        from voxtool.files.imports import read_grid
-
-        return read_grid(like)
-    rest = {name: value for name, value in placing.items() if name not in LATTICE}
-    if placing["shape"]:
-        return Grid(placing["shape"], placing["origin"], placing["spacing"])
-    return Grid.fit(mesh, **rest)
 
 
 def check_normals(format: str | None) -> None:

@@ -227,12 +227,12 @@ class Run:
     ) -> Mesh:
         """Read meshes as one, with what is to be kept of them, and place it."""
         if normalize and (units or scale != 1):
-            raise click.UsageError(
-                "--normalize sets the scale and leaves no unit: drop --units and --scale"
-            )
+            message = "--normalize sets the scale and leaves no unit: drop --units and --scale"
+            raise click.UsageError(message)
         from voxtool.files import companions
         from voxtool.files.mesh import load_mesh
         from voxtool.mesh.joining import join
+        from voxtool.mesh.lengths import conversion
         from voxtool.mesh.normalize import normalize as placed
 
         given = {"max_memory": self.max_memory, "units": units, "scale": scale, "keep": keep}
@@ -241,6 +241,7 @@ class Run:
         if beside and not self.only_plan:
             self.refuse_inputs(beside)
         mesh = found[0] if len(found) == 1 else self.stage("join meshes", join, found)
+        self.notes += filter(None, (conversion(one, mesh, found[0].name) for one in found))
         return self.stage("normalize", placed, mesh, normalize) if normalize else mesh
 
     @contextmanager

@@ -56,13 +56,13 @@ def common_grid(grids: Sequence[Grid]) -> tuple[Grid, np.ndarray]:
         if grid.pitch != first.pitch:
             raise GridError(
                 f"octrees 1 and {number} have voxels of {_triple(first.pitch)} and "
-                f"{_triple(grid.pitch)}: voxelize one --like the other"
+                f"{_triple(grid.pitch)}: voxelize one again with --lattice, naming the other"
             )
         if wrong.any():
             raise GridError(
                 f"octrees 1 and {number} have origins {_triple(first.origin)} and "
                 f"{_triple(grid.origin)}, which are not whole numbers of voxels apart: voxelize "
-                "one --like the other"
+                "one again with --lattice, naming the other"
             )
     lows = steps.astype(np.int64)
     lows -= lows.min(axis=0)
