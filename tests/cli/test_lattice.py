@@ -32,7 +32,7 @@ def cylinder(radius: float, height: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_ring(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Which points lie in the cross-section of the cylinder of radius 8."""
+    """Return which points lie in the cross-section of the cylinder of radius 8."""
     ring = cylinder(8, 1)[0][:SIDES, :2]
     edges = np.roll(ring, -1, axis=0) - ring
     left = edges[:, 0] * (y[..., None] - ring[:, 1]) - edges[:, 1] * (x[..., None] - ring[:, 0])
@@ -156,7 +156,7 @@ def test_one_thing_places_the_grid(words: str, message: str, parts) -> None:
 
 
 def test_units_are_converted(parts) -> None:
-    """Of a part in inches on voxels in millimetres: the same as of the part in millimetres."""
+    """A part in inches on voxels in millimetres sets those of the part in millimetres."""
     inches = meshes.box((-0.3, -0.2, -0.1), (0.3, 0.2, 0.1))
     write_obj(Path("in.obj"), *inches)
     write_obj(Path("mm.obj"), inches[0] * 127 / 5, inches[1])

@@ -1,4 +1,4 @@
-"""No command replaces one of its inputs, by whatever name, unless it is told to."""
+"""No command replaces one of its inputs, by whatever name, without --overwrite."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def made(models: Path, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def inputs(made: Path, tmp_path: Path, monkeypatch) -> Path:
-    """The current folder, with copies of these."""
+    """The current folder, with copies of all models."""
     folder = shutil.copytree(made, tmp_path / "inputs")
     monkeypatch.chdir(folder)
     return folder

@@ -196,7 +196,7 @@ def test_what_a_combination_keeps() -> None:
 
 def test_what_is_refused(device: Device) -> None:
     a = Octree.from_dense(np.ones((8, 8, 8)))
-    with pytest.raises(GridError, match=r"octrees 1 and 3 have voxels of .* --like"):
+    with pytest.raises(GridError, match=r"octrees 1 and 3 have voxels of .* --lattice"):
         combine([a, a, Octree.from_dense(np.ones((8, 8, 8)), pitch=(1, 1, 1.5))])
     with pytest.raises(GridError, match=r"octrees 1 and 2 have origins .* whole numbers of voxels"):
         combine([a, Octree.from_dense(np.ones((8, 8, 8)), (0, 0.25, 0))])

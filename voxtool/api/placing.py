@@ -48,7 +48,7 @@ def share_beyond(mesh: MeshLike, grid: Grid) -> float:
     """Return the share of the surface of a mesh that lies beyond a grid, by area.
 
     Each triangle is clipped by the box of the grid, with its vertices rounded to 1/256 voxel as
-    `voxelize` rounds them. A mesh without area counts by the faces that lie beyond as a whole.
+    `voxelize` rounds them. A mesh without area counts by the faces that lie wholly beyond.
 
     Parameters
     ----------

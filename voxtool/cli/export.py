@@ -59,7 +59,7 @@ def number_of(text: str) -> int | str:
         metavar="NAME[,NAME...]"),
     option("--band", POSITIVE,
         "Of a field as a level set: its half-width, in voxels.  [default: 3]", metavar="VOXELS"),
-    file_options("Of a field: ", "the extent of the field"),
+    file_options("Fields: ", "the extent of the field"),
     option("--origin", POINT, "Of a field: with --shape and --spacing, the low corner of the grid.",
         metavar="X,Y,Z"),
     option("--shape", SHAPE, "Of a field: samples along each axis.", metavar="N|NX,NY,NZ"),

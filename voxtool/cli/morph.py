@@ -68,7 +68,7 @@ SHOWN = 20  # components in a report as text
     option("--pitch", float, "With --resample: voxel size in world units."),
     bbox_option(
         "With --resample: box that the grid covers, in world units, instead of the octree's."),
-    file_options("With --resample: ", "the octree's box, or --bbox"),
+    file_options("With --resample: ", "the octree's box, or that of --bbox"),
     windows_options,
 )  # fmt: skip
 @runner.job_options(

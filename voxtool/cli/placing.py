@@ -68,20 +68,21 @@ def bbox_option(about: str) -> Decorator:
     return option("--bbox", BOX, about, metavar="X0,Y0,Z0,X1,Y1,Z1", cls=BoxOption)
 
 
-def file_options(whose: str = "", own: str = "the mesh's own extent") -> Decorator:
+def file_options(
+    whose: str = "Use ", own: str = "the mesh's own extent, so that octrees combine without loss"
+) -> Decorator:
     """--like and --lattice."""
     return together(
         option("--like", str,
-            f"{whose}Use the grid of another octree, or of an image or array that `voxtool import` "
+            f"{whose}the grid of another octree, or of an image or array that `voxtool import` "
             "reads.", metavar="FILE"),
         option("--lattice", str,
-            f"{whose}Use the voxels of such a grid with {own}, so that octrees combine without "
-            "loss.", metavar="FILE"),
+            f"{whose}the voxels of such a grid, with {own}.", metavar="FILE"),
     )  # fmt: skip
 
 
 lattice_options = together(
-    bbox_option("Box that the grid covers, in world units, instead of the mesh's."),
+    bbox_option("Box that the grid covers, in world units, instead of the mesh's; or six words."),
     file_options(),
     option("--origin", POINT, "With --shape and --spacing: the low corner of the grid.",
         metavar="X,Y,Z"),

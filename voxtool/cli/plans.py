@@ -1,4 +1,4 @@
-"""What --plan prints of a job."""
+"""The text and the facts that --plan prints of a job."""
 
 from __future__ import annotations
 

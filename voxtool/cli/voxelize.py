@@ -126,6 +126,7 @@ def command(
       voxtool voxelize open.obj --fill flood --gap 3
       voxtool voxelize bunny.obj open.obj --labels file -o both.svo.h5
       voxtool voxelize bunny.obj --like mask.npy -o bunny.npy
+      voxtool voxelize open.obj --lattice bunny.svo.h5 -o box.svo.h5
       voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
     """
     check_placing(placing)

@@ -13,7 +13,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.units import factor
 from voxtool.vector import cross, length
 
-FARTHEST = 2.0**40  # voxels from a grid, as far as vertices are told apart
+FARTHEST = 2.0**40  # voxels from a grid; vertices beyond count as there
 
 
 def in_units(mesh: Mesh, units: str) -> Mesh:
