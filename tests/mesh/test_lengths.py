@@ -14,7 +14,7 @@ from voxtool.choices import LENGTH_UNITS
 from voxtool.grid import Grid
 from voxtool.mesh.lengths import in_units, share_beyond
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
-from voxtool.units import factor
+from voxtool.units import difference, factor
 
 SHAPE = (8, 9, 10)
 GRID = Grid(SHAPE, (0, 0, 0), (1, 1, 1))
@@ -107,9 +107,11 @@ def test_units() -> None:
             assert factor(one, other) * factor(other, one) == 1
             assert factor(one, "") == factor("", other) == 1
     assert factor("inches", "mm") == Fraction(254, 10)
-    assert factor("furlong", "furlong") == 1
-    with pytest.raises(voxtool.VoxtoolError, match="'furlong' is none of um, mm"):
-        factor("m", "furlong")
+    assert factor("nm", "um") == Fraction(1, 1000)
+    assert factor("pixel", "mm") == factor("mm", "pixel") == 1  # nothing is known
+    assert difference("mm", "millimeters", "") == difference("mm", "", "") == ""
+    assert difference("cm", "inch", "scale") == "in cm and in inch: 1 inch is 2.54 cm: scale"
+    assert difference("mm", "pixel", "scale") == "in mm and in pixel: scale"
 
 
 def test_a_mesh_in_another_unit() -> None:
@@ -120,5 +122,4 @@ def test_a_mesh_in_another_unit() -> None:
     assert in_units(mesh, "m") is in_units(mesh, "") is mesh
     plain = box((0, 0, 0), (1, 2, 3))
     assert in_units(plain, "mm") is plain
-    with pytest.raises(voxtool.MeshError, match="'furlong'"):
-        in_units(mesh, "furlong")
+    assert in_units(mesh, "pixel") is mesh

@@ -60,7 +60,7 @@ def share_beyond(mesh: MeshLike, grid: Grid) -> float:
     Returns
     -------
     float
-        From 0 to 1; clipping errs by about 1e-15.
+        From 0 to 1; clipping errs by about 1e-15, and 1e-12 or less is 0.
 
     Raises
     ------

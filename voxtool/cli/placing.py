@@ -98,7 +98,9 @@ def check_placing(placing: Mapping[str, Any]) -> None:
     given = [f"--{name}" for name in names]
     own = [f"--{name}" for name in OWN if name in names]
     if own and len(own) < len(OWN):
-        raise click.UsageError("--origin, --shape and --spacing go together: give all three")
+        raise click.UsageError(
+            "--origin, --shape and --spacing go together: give all three, or --dim around the mesh"
+        )
     if own and len(given) > len(OWN):
         others = " and ".join(name for name in given if name not in own)
         raise click.UsageError(f"--origin, --shape and --spacing set the grid: drop {others}")

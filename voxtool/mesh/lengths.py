@@ -7,28 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from voxtool.errors import MeshError, VoxtoolError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.units import factor
 from voxtool.vector import cross, length
 
+BATCH = 1 << 18  # faces at once
+LEAST = 1e-12  # share that is told from rounding
 FARTHEST = 2.0**40  # voxels from a grid; vertices beyond count as there
 
 
 def in_units(mesh: Mesh, units: str) -> Mesh:
-    """Return a mesh in a unit of length, scaled if its own is known and another one.
-
-    Raises
-    ------
-    MeshError
-        If a unit is none of length.
-    """
-    try:
-        ratio = factor(mesh.units, units)
-    except VoxtoolError as error:
-        raise MeshError(f"{mesh.name or 'mesh'}: {error}") from None
-    if ratio == 1:
+    """Return a mesh in a unit of length, scaled if its own is known and another one."""
+    if (ratio := factor(mesh.units, units)) == 1:
         return mesh
     return replace(mesh, vertices=mesh.vertices * ratio.numerator / ratio.denominator, units=units)
 
@@ -45,25 +36,36 @@ def conversion(mesh: Mesh, found: Mesh, other: str) -> str:
 
 def share_beyond(mesh: Mesh, grid: Grid) -> float:
     """Return the share of a mesh that lies beyond a grid; see `voxtool.share_beyond`."""
-    steps = 1 << FIXED_POINT_BITS
-    with np.errstate(over="ignore", invalid="ignore"):
-        points = np.rint((mesh.vertices - grid.origin) / grid.pitch * steps) / steps
-    corners = np.clip(points, -FARTHEST, FARTHEST)[mesh.faces]
-    low, high, shape = corners.min(axis=1), corners.max(axis=1), np.array(grid.shape)
-    outside = ((high < 0) | (low > shape)).any(axis=1)
-    cut = ~outside & ((low < 0) | (high > shape)).any(axis=1)
-    if not (outside | cut).any():
+    low, high = _rounded(mesh.bounds, grid)
+    if (low >= 0).all() and (high <= grid.shape).all():
         return 0.0
     sides = np.array(grid.pitch) / max(grid.pitch)
-    whole = _area(corners, sides)
+    whole = within = 0.0
+    faces = 0  # that lie wholly beyond
+    for first in range(0, len(mesh.faces), BATCH):
+        corners = _rounded(mesh.vertices[mesh.faces[first : first + BATCH]], grid)
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        whole += _area(corners, sides)
+        outside = ((high < 0) | (low > grid.shape)).any(axis=1)
+        faces += int(np.count_nonzero(outside))
+        inside = ((low >= 0) & (high <= grid.shape)).all(axis=1)
+        pieces = corners[~outside & ~inside]
+        for axis in range(3):
+            for sign, place in ((1.0, 0.0), (-1.0, -float(grid.shape[axis]))):
+                pieces = _clipped(pieces, axis, sign, place)
+        within += _area(corners[inside], sides) + _area(pieces, sides)
     if whole == 0:
-        return float(outside.mean())
-    pieces = corners[cut]
-    beyond = _area(corners[outside], sides) + _area(pieces, sides)
-    for axis in range(3):
-        for sign, place in ((1.0, 0.0), (-1.0, -float(shape[axis]))):
-            pieces = _clipped(pieces, axis, sign, place)
-    return min(max((beyond - _area(pieces, sides)) / whole, 0.0), 1.0)
+        return faces / len(mesh.faces)
+    share = 1 - within / whole
+    return min(share, 1.0) if share > LEAST else 0.0
+
+
+def _rounded(points: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return (..., 3) points in voxels of a grid, rounded as `Grid.to_fixed` does."""
+    steps = 1 << FIXED_POINT_BITS
+    with np.errstate(over="ignore"):
+        found = np.rint((points - grid.origin) / grid.pitch * steps) / steps
+    return np.clip(found, -FARTHEST, FARTHEST)
 
 
 def _area(corners: np.ndarray, sides: np.ndarray) -> float:
