@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 
 SLACK = math.sqrt(3) + 1e-6  # voxels: the diagonal of a cell, and rounding
 LEAST_WALL = 2.0  # voxels: of thinner walls the two sides share cells
-LEAST_OFFSET = 1.0  # voxels
+# Voxels outward, half the diagonal, and inward: of less, vertices move to the other side of the
+# surface, which is as far away.
+LEAST_OFFSET, LEAST_INSET = math.sqrt(3) / 2, 0.6
 LEAST_RADIUS = 1.5  # voxels, of a drain hole
 DEEPEST = 4  # times the wall: how deep the cavity may lie below the place of a drain
 AT_ONCE = 1 << 20  # voxels whose distance is measured
@@ -54,12 +56,12 @@ def check_walls(
         raise VoxtoolError("a length or a place is not finite: give numbers")
     for what, length, least in (
         ("wall", shell or thicken, LEAST_WALL),
-        ("offset", offset, LEAST_OFFSET),
+        ("offset", offset, LEAST_OFFSET if offset > 0 else LEAST_INSET),
     ):
         if length and not abs(length) >= least * pitch:
             raise VoxtoolError(
                 f"{what} {length:g} is {abs(length) / pitch:.2g} voxels of {pitch:.4g}, of "
-                f"{least:g} at least: give {at_least(least * pitch)} or more, or a larger dim"
+                f"{least:.3g} at least: give {at_least(least * pitch)} or more, or a larger dim"
             )
     if drains and not shell:
         raise VoxtoolError("drains go with a shell: there is no cavity")
