@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from voxtool.errors import GridError
 from voxtool.grid import FIXED_POINT_LIMIT, MAX_DIM, MIN_DIM, Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+from voxtool.svo.placing import common_grid
 
 UNIT = 256
 BOX = [(0.0, 0.0, 0.0), (4.0, 2.0, 1.0)]
@@ -309,6 +310,38 @@ def test_every_vertex_lies_within_the_margins_by_pitch(points, pitch) -> None:
     slack = slack_of(grid, mesh) + 1  # a side that is whole to 1/512 voxel stays so
     assert (fixed.min(axis=0) >= least * UNIT - slack).all()
     assert (fixed.max(axis=0) <= (np.array(grid.shape) - least) * UNIT + slack).all()
+
+
+@given(
+    points=POINTS,
+    pitch=st.tuples(*[st.sampled_from([0.1, 1.0, 7.3, 400.0])] * 3),
+    origin=st.tuples(*[st.sampled_from([0.0, -0.3, 1e3])] * 3),
+    margin=st.sampled_from([None, 0, 1, 3]),
+)
+def test_a_lattice_holds_the_mesh_in_its_own_voxels(points, pitch, origin, margin) -> None:
+    assume(len(set(points)) > 1)
+    mesh, lattice = mesh_of(points), Grid((9, 8, 8), origin, pitch)
+    try:
+        grid = Grid.fit(mesh, lattice=lattice, margin=margin)
+    except GridError as error:
+        assume("choose a lattice of larger voxels" not in str(error))
+        assume("too small for" not in str(error))
+        raise
+    assert grid.pitch == lattice.pitch
+    nearby = lattice.window(np.rint((grid.origin - np.array(origin)) / pitch), (9, 8, 8))
+    common_grid([grid, nearby, grid])  # or GridError
+    fixed = grid.to_fixed(mesh.vertices)
+    least = margin or 0
+    slack = slack_of(grid, mesh)
+    assert (fixed >= least * UNIT - slack).all()
+    assert (fixed <= (np.array(grid.shape) - least) * UNIT + slack).all()
+    used = (
+        np.ceil(np.ptp(mesh.vertices, axis=0) / pitch) + 1 + 2 * (4 if margin is None else margin)
+    )
+    assert (np.array(grid.shape) <= np.maximum(used, 8)).all()  # nothing is wasted
+    if margin == 0:  # the voxels do not depend on where the lattice's grid lies
+        again = Grid.fit(mesh, lattice=lattice.window((5, -7, 11), (8, 8, 8)), margin=0)
+        assert not common_grid([again, grid])[1].any()
 
 
 @given(points=POINTS, dim=DIMS)

@@ -36,7 +36,6 @@ from voxtool.api.octrees import combine as combine
 from voxtool.api.octrees import compare as compare
 from voxtool.api.octrees import diagnose as diagnose
 from voxtool.api.octrees import extract as extract
-from voxtool.api.octrees import normalize as normalize
 from voxtool.api.octrees import orient as orient
 from voxtool.api.octrees import plan_combine as plan_combine
 from voxtool.api.octrees import plan_compare as plan_compare
@@ -47,6 +46,8 @@ from voxtool.api.pictures import build_tet as build_tet
 from voxtool.api.pictures import plan_render as plan_render
 from voxtool.api.pictures import plan_tet as plan_tet
 from voxtool.api.pictures import render as render
+from voxtool.api.placing import normalize as normalize
+from voxtool.api.placing import share_beyond as share_beyond
 from voxtool.api.repair import plan_repair as plan_repair
 from voxtool.api.repair import repair as repair
 from voxtool.api.solvers import plan_wall_links as plan_wall_links

@@ -6,7 +6,16 @@ Where there is a default, it is the first name, or a constant of its own, or dep
 from __future__ import annotations
 
 MIN_DIM, MAX_DIM, DEFAULT_DIM = 8, 65536, 256  # voxels along the longest side of a grid
-LENGTH_UNITS = ("um", "mm", "cm", "m", "in", "ft")  # those that a format of meshes defines
+# Those that a format of meshes defines, in nanometres.
+NANOMETRES = {
+    "um": 10**3,
+    "mm": 10**6,
+    "cm": 10**7,
+    "m": 10**9,
+    "in": 25_400_000,
+    "ft": 304_800_000,
+}
+LENGTH_UNITS = tuple(NANOMETRES)
 FITS = ("uniform", "stretch")  # of grids to meshes
 NORMALIZED = ("unit", "sphere")  # where meshes are placed: a unit cube, a unit ball
 MODES = ("surface26", "surface6", "solid")  # of voxelization

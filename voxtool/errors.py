@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -84,6 +85,15 @@ def one_line(error: BaseException) -> str:
 def shown(word: bytes) -> str:
     """The beginning of a word of a file, in quotes."""
     return repr(word[:40].decode("ascii", "replace"))
+
+
+def at_least(number: float) -> str:
+    """Return a positive number as messages say a least value: to 4 digits, never rounded down."""
+    text = f"{number:.4g}"
+    if float(text) < number:
+        last = math.floor(math.log10(number)) - 3  # place of the last digit
+        text = f"{float(text) + 10.0**last:.4g}"
+    return text
 
 
 def human(size: int) -> str:

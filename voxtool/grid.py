@@ -27,6 +27,7 @@ FINEST_BITS = 20  # on the finest lattice: a variant of the kernels for all dims
 COORDINATE_BITS = 29  # of coordinates there, so that products of their differences fit 64 bits
 FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bits
 DEFAULT_MARGIN = 4
+IGNORED = 1 / 512  # of a voxel that a mesh reaches beyond a grid: it is rounded off
 MOST = 1e90  # extent; volumes are in the range of float64
 LEAST_PITCH = 1e-95  # of an extent of 1 / MOST
 
@@ -80,6 +81,7 @@ class Grid:
         bbox: Sequence[float] | None = None,
         margin: int | None = None,
         fit: str = "uniform",
+        lattice: Grid | None = None,
     ) -> Grid:
         """Return a grid around a mesh, or over a box.
 
@@ -98,6 +100,10 @@ class Grid:
         fit : {"uniform", "stretch"}
             "uniform" makes cubic voxels. "stretch" scales each axis separately to [4, dim]
             ([voCCeL], eq. 5.1); it allows no option other than dim.
+        lattice : Grid, optional
+            Take the voxels of this grid's lattice: its pitch, and an origin that is whole numbers
+            of voxels from its own; instead of dim, pitch and fit. Octrees of one lattice combine
+            without loss.
 
         Returns
         -------
@@ -112,6 +118,8 @@ class Grid:
             raise GridError("dim and pitch both set the voxel size: give one of them")
         if fit not in FITS:
             raise GridError(f"fit {fit!r} is neither 'uniform' nor 'stretch'")
+        if lattice is not None and not (dim is pitch is None and fit == FITS[0]):
+            raise GridError("a lattice has voxels of its own: drop dim, pitch and fit")
         if dim is None and pitch is None:
             dim = DEFAULT_DIM
         if dim is not None and not MIN_DIM <= dim <= MAX_DIM:
@@ -130,14 +138,17 @@ class Grid:
                 f"{where}: an extent of {longest:g} is not within 1e±90, where volumes can be "
                 "computed: scale it"
             )
+        if bbox is not None and margin is None and fit != "stretch":
+            margin = 0
+        if lattice is not None:
+            _check_resolution(low, high, np.array(lattice.pitch))
+            return _on_lattice(lattice, low, high, margin)
         if fit == "stretch":
             if dim is None or bbox is not None or margin is not None:
                 raise GridError("fit 'stretch' goes with dim alone: drop pitch, bbox and margin")
             extent[extent == 0] = longest  # a flat axis takes the scale of the longest
             shape, margin, pitches = np.full(3, dim), 4, extent / (dim - 4)
         else:
-            if bbox is not None and margin is None:
-                margin = 0
             if dim is not None:
                 pitch, margin = _pitch_for(dim, margin, longest)
                 shape = np.full(3, dim)
@@ -265,11 +276,34 @@ def _shape_for(pitch: float, margin: int | None, extent: np.ndarray) -> tuple[np
             f"pitch {pitch:g} makes {size / pitch:.7g} voxels along the longest "
             f"side, of {MAX_DIM} allowed: choose at least {least:.4g}"
         )
+    return _with_margin(count, margin)
+
+
+def _with_margin(count: np.ndarray, margin: int | None) -> tuple[np.ndarray, int]:
+    """Return numbers of voxels with the margin on both sides, and the margin."""
+    longest = int(count.max())
     if margin is None:  # the largest m <= 4 that the dim it makes allows
         margin = next(m for m in range(DEFAULT_MARGIN, -1, -1) if m <= (longest + 2 * m) // 8)
     shape = count + 2 * margin
     shape[np.argmax(shape)] = max(int(shape.max()), MIN_DIM)
     return shape, margin
+
+
+def _on_lattice(lattice: Grid, low: np.ndarray, high: np.ndarray, margin: int | None) -> Grid:
+    """Return the grid of the voxels of a lattice from one corner to another, and the margin."""
+    pitch = np.array(lattice.pitch)
+    with np.errstate(over="ignore"):
+        first, last = ((corner - lattice.origin) / pitch for corner in (low, high))
+    first, last = np.floor(first + IGNORED), np.ceil(last - IGNORED)
+    with np.errstate(invalid="ignore"):
+        count = np.maximum(last - first, 1)
+    if not count.max() <= MAX_DIM:
+        raise GridError(
+            f"{(high - low).max():.6g} along the longest side is {count.max():.7g} voxels of the "
+            f"lattice, of {MAX_DIM} allowed: choose a lattice of larger voxels"
+        )
+    shape, margin = _with_margin(count.astype(np.int64), margin)
+    return lattice.window((first - margin).astype(np.int64).tolist(), shape.tolist())
 
 
 def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: np.ndarray) -> None:
@@ -283,9 +317,9 @@ def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: np.ndarray) -> N
 
 
 def _voxel_count(extent: np.ndarray, pitch: float) -> np.ndarray:
-    """Return the voxels that cover each side, at least 1; up to 1/512 voxel beyond is ignored."""
+    """Return the voxels that cover each side, at least 1."""
     with np.errstate(over="ignore"):
-        count = np.ceil(extent / pitch - 1 / 512)
+        count = np.ceil(extent / pitch - IGNORED)
     return np.clip(count, 1, 1 << 40).astype(np.int64)
 
 

@@ -274,7 +274,7 @@ def test_standard_input(here: Path) -> None:
         ("--dim 7", 2, "7 is not in the range"),
         ("--obj -", 2, "stdout has the report: name a file for --obj"),
         ("--obj leaks.ply", 3, "leaks.ply: the name says no format: end it in one of .obj"),
-        ("--obj ./mesh.obj", 2, "is MESH itself"),
+        ("--obj ./mesh.obj", 2, "./mesh.obj is the input mesh.obj: name another"),
         ("--obj no/leaks.obj", 3, "no"),
     ],
 )

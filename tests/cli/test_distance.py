@@ -115,7 +115,7 @@ def test_the_plan(here: Path) -> None:
         ("box.obj --dim 32 --like box.svo.h5", 2, "--like sets the grid"),
         ("box.obj points.csv --float32", 2, "goes with a grid"),
         ("- -", 2, "cannot both be stdin"),
-        ("box.obj points.csv -o points.csv", 2, "is POINTS itself"),
+        ("box.obj points.csv -o points.csv", 2, "points.csv is the input points.csv: name another"),
         (
             "box.obj nan.csv -o no.npy",
             3,

@@ -55,14 +55,11 @@ def test_a_device_is_used_by_fields_alone(name: str, here: Path) -> None:
             "extract bunny.svo.h5 --scale 2",
             "those of the meshes of --against and --source: name one",
         ),
-        ("extract mm.svo.h5 --against bunny.obj --units m", "in m, and the octree in mm: give"),
     ],
 )
 def test_the_missing_step_is_named(command: str, message: str, here: Path) -> None:
     if "vtkhdf" in command:
         run("export bunny.svo.h5 -o a.vtkhdf")
-    if "mm.svo" in command:
-        run("voxelize bunny.obj --units mm --dim 16 -o mm.svo.h5")
     assert message in fail(command, code=2 if "--scale" in command else None)
 
 

@@ -332,7 +332,7 @@ def test_against_the_file_that_is_replaced(here: Path) -> None:
     command = "extract bunny.svo.h5 --level 1 --samples 1000 --json"
     os.link("a.obj", "before.obj")
     expected = told(f"{command} --against before.obj -o b.obj")["against"]
-    assert told(f"{command} --against a.obj -o a.obj")["against"] == expected
+    assert told(f"{command} --against a.obj -o a.obj --overwrite")["against"] == expected
 
 
 # ---- the plan, and memory

@@ -269,3 +269,24 @@ def test_refused_tars(more: str, code: int, message: str, balls) -> None:
         Path(name).write_bytes(Path(balls[0]).read_bytes())
     assert message in fail(f"voxelize {balls[0]} -o x.tar --dim 8 {more}", code)
     assert not list(Path().glob("x.tar*"))
+
+
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        ("repair bunny.obj --dim 16 --workers 2", "one.stl"),
+        ("repair bunny.obj --dim 16 --dask local", "one.stl"),
+        ("distance bunny.obj --dim 16 --workers 2", "one.npy"),
+        ("voxelize bunny.obj --dim 16 --workers 2", "one.svo.h5"),
+    ],
+)
+def test_one_mesh_is_the_file_that_is_named(command: str, output: str, here: Path) -> None:
+    before = set(os.listdir())
+    run(f"{command} -o {output} -q")
+    assert set(os.listdir()) - before == {output}
+    assert Path(output).is_file()
+
+
+def test_one_mesh_in_a_folder(here: Path) -> None:
+    run("voxelize bunny.obj --dim 16 --workers 1 -o folder -q")  # which names no format
+    assert set(os.listdir("folder")) == {"bunny.svo.h5", "manifest.jsonl"}

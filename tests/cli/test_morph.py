@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
+from helpers_cli import ROOT, fail, run, told
 
 import voxtool
 from voxtool.files import read_svo
@@ -68,13 +68,27 @@ def test_an_export_can_be_the_output(crumbs: np.ndarray) -> None:
     ("words", "message"),
     [
         ("", "what is to be done? Give one of --dilate, --erode"),
-        ("--components --keep 1", "what is to be done?"),
+        ("--components --keep 1", "one operation a call: drop --keep or --components"),
+        ("--dilate 1 --keep largest", "one operation a call: drop --dilate or --keep"),
+        ("--thin --open 1 --erode 0", "one operation a call: drop --erode, --open or --thin"),
         ("--components --shape cube", "--shape go with a radius"),
         ("--fill-cavities --neighbours 6", "--neighbours goes with"),
     ],
 )
 def test_what_does_not_go_together(words: str, message: str, crumbs: np.ndarray) -> None:
     assert message in fail(f"morph crumbs.svo.h5 {words}", 2)
+
+
+def test_the_wall_of_the_guide(here: Path) -> None:
+    help, guide = run("morph -h").stdout, (ROOT / "docs/morph.md").read_text()
+    words = "morph bunny.svo.h5 --shell 0.02 --world -o hollow.svo.h5"
+    assert f"voxtool {words}\n" in help
+    assert f"voxtool {words}\n" in guide
+    run("voxelize bunny.obj --dim 256 -q")  # coarser than that of the guide
+    found = told(f"{words} --json")
+    assert 0 < found["voxels"] < found["voxels_before"]
+    message = fail("morph bunny.svo.h5 --shell 0.002 --world -o less.svo.h5")
+    assert "radius 0.002 is less than one voxel, of 0.00" in message
 
 
 def test_a_refusal_says_what_helps(here: Path) -> None:

@@ -13,6 +13,7 @@ import voxtool
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError
 from voxtool.files import formats, imports, npy
 from voxtool.files.atomic import MARK, atomic_folder
+from voxtool.files.lattices import read_lattice
 from voxtool.files.voxels import frame_of
 from voxtool.svo.collect import Collector
 
@@ -51,7 +52,7 @@ def test_round_trip(name: str, shape: str, tmp_path: Path) -> None:
     more = {} if name in PLACED else WORLD
     assert voxtool.read_voxels(path, **more).digest() == octree.digest()
     if name in PLACED:
-        assert imports.read_grid(path) == octree.grid
+        assert read_lattice(path).grid == octree.grid
 
 
 @pytest.mark.parametrize("name", sorted({*formats.IMPORTS} - {"binvox", "vox"}))

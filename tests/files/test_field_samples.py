@@ -14,7 +14,7 @@ import voxtool
 from voxtool.adf import samples
 from voxtool.errors import FileError, GridError, VoxtoolError
 from voxtool.files.formats import EXCHANGE, ending
-from voxtool.files.imports import read_grid
+from voxtool.files.lattices import read_lattice
 
 SIDE = 2.3
 FIELD = plain_field(origin=(-3.7, 0.1, 12.0), side=SIDE, units="mm")
@@ -60,7 +60,7 @@ def test_every_sample(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert values.dtype == np.float32
     assert np.array_equal(values, expected(GRID))
     if name != "npy":
-        assert read_grid(path) == GRID
+        assert read_lattice(path).grid == GRID
 
 
 @pytest.mark.parametrize("name", ["nii", "nii.gz", "nrrd"])

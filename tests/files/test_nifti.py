@@ -13,7 +13,7 @@ from helpers_octree import ball
 
 import voxtool
 from voxtool.errors import FileError
-from voxtool.files import imports
+from voxtool.files.lattices import read_lattice
 
 nibabel = pytest.importorskip("nibabel")
 DENSE = ball((21, 16, 9))
@@ -88,7 +88,7 @@ def test_mask_lies_on_its_image(tmp_path: Path) -> None:
     affine = np.diag([0.7, 0.8, 1.3, 1])
     affine[:3, 3] = (-7.1, 3.3, 0.2)
     nibabel.save(nibabel.Nifti1Image(np.zeros((20, 30, 10), "i2"), affine), tmp_path / "scan.nii")
-    grid = imports.read_grid(tmp_path / "scan.nii")
+    grid = read_lattice(tmp_path / "scan.nii").grid
     assert grid.shape == (20, 30, 10)
     mask = voxtool.Octree.from_voxels([[3, 4, 5]], grid)
     voxtool.export(mask, tmp_path / "mask.nii")
@@ -106,8 +106,8 @@ def test_changed_affine_counts(tmp_path: Path) -> None:
     affine[0, 3] += 5
     image.set_sform(affine)
     nibabel.save(image, tmp_path / "b.nii")
-    assert imports.read_grid(tmp_path / "a.nii").origin == PLACE["origin"]
-    assert abs(imports.read_grid(tmp_path / "b.nii").origin[0] - 3.5) < 1e-5
+    assert read_lattice(tmp_path / "a.nii").grid.origin == PLACE["origin"]
+    assert abs(read_lattice(tmp_path / "b.nii").grid.origin[0] - 3.5) < 1e-5
 
 
 def damaged(head: bytes) -> dict[str, tuple[bytes, str]]:

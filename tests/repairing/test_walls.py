@@ -111,7 +111,13 @@ def test_sets_by_distance(device, seed: int) -> None:
 @pytest.mark.parametrize(
     ("request_", "message"),
     [
-        ({"shell": 0.05}, "shell 0.05 is .* voxels, of 2 at least"),
+        ({"shell": 0.05}, r"wall 0\.05 is 0\.6 voxels of 0\.08333, of 2 at least: give 0\.1667 or"),
+        ({"thicken": 0.05}, r"wall 0\.05 is 0\.6 voxels"),
+        (
+            {"offset": 0.07},
+            r"offset 0\.07 is 0\.84 voxels of 0\.08333, of 0\.866 at least: give 0\.07217",
+        ),
+        ({"offset": -0.001}, r"offset -0\.001 is 0\.012 voxels"),
         ({"shell": 0.3, "offset": 1.0}, "exclude each other"),
         ({"drains": [(0, 0, 1, 0.3)]}, "drains go with a shell"),
         ({"shell": 0.3, "drains": [(0, 0, 1, 0.01)]}, "a radius of"),

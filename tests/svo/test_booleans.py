@@ -190,13 +190,13 @@ def test_what_a_combination_keeps() -> None:
     both = a | b
     assert (both.mode, both.fill, both.units, both.source_sha256) == ("solid", "none", "mm", "")
     assert both.plan == {"operation": "union", "operands": 2}
-    with pytest.raises(GridError, match="octrees in in and mm"):
+    with pytest.raises(GridError, match=r"octrees 1 and 2 are in mm and in in: 1 in is 25\.4 mm: "):
         combine([a, octree_from_dense(ball((8, 8, 8)), units="in")])
 
 
 def test_what_is_refused(device: Device) -> None:
     a = Octree.from_dense(np.ones((8, 8, 8)))
-    with pytest.raises(GridError, match=r"octrees 1 and 3 have voxels of .* --like"):
+    with pytest.raises(GridError, match=r"octrees 1 and 3 have voxels of .* --lattice"):
         combine([a, a, Octree.from_dense(np.ones((8, 8, 8)), pitch=(1, 1, 1.5))])
     with pytest.raises(GridError, match=r"octrees 1 and 2 have origins .* whole numbers of voxels"):
         combine([a, Octree.from_dense(np.ones((8, 8, 8)), (0, 0.25, 0))])

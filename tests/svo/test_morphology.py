@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from conftest import model
@@ -18,7 +20,7 @@ from voxtool.svo.tiling import Box, Tiling
 
 RNG = np.random.default_rng(7)
 SHAPES = ((8, 8, 8), (20, 9, 33), (40, 17, 5))
-RADII = (0, 0.5, 1, 1.41, 2**0.5, 2.5, 7)
+RADII = (1, 1.41, 2**0.5, 2.5, 7)
 
 
 def sets_of(shape: tuple[int, int, int]) -> dict[str, np.ndarray]:
@@ -167,6 +169,8 @@ def test_tilings_are_sets() -> None:
         ("grow", 1, "ball", "operation 'grow' is unknown"),
         ("dilate", -1, "ball", "radius -1 is no length"),
         ("dilate", float("nan"), "ball", "radius nan is no length"),
+        ("dilate", 0, "ball", "radius 0 is less than one voxel, of 1: give 1 or more, in voxels"),
+        ("shell", 0.999, "cube", r"radius 0\.999 is less than one voxel"),
         ("dilate", 129, "ball", "reaches more than the 128 voxels"),
         ("dilate", 1, "disc", "shape 'disc' is unknown"),
     ],
@@ -175,6 +179,21 @@ def test_refused(operation: str, radius: float, shape: str, message: str) -> Non
     octree = Octree.from_dense(np.ones((8, 8, 8), bool))
     with pytest.raises(voxtool.VoxtoolError, match=message):
         voxtool.plan_morph(octree, operation, radius, shape=shape)
+
+
+@pytest.mark.parametrize("operation", MORPHOLOGY)
+def test_a_length_of_less_than_a_voxel_is_refused(operation: str) -> None:
+    """The message gives the pitch, and a radius that is taken and changes something."""
+    pitch = (0.1234567, 0.5, 2.0)
+    octree = Octree.from_dense(np.pad(np.ones((9, 9, 9), bool), 3), (0, 0, 0), pitch, units="mm")
+    words = r"radius 0\.12 is less than one voxel, of 0\.1235 x 0\.5 x 2 mm: give (\S+) or more, "
+    with pytest.raises(voxtool.VoxtoolError, match=words) as refused:
+        voxtool.plan_morph(octree, operation, 0.12, world=True)
+    least = float(re.findall(words, str(refused.value))[0])
+    assert pitch[0] <= least < 1.001 * pitch[0]
+    found = voxtool.morph(octree, operation, least, world=True)
+    assert found.count
+    assert operation in ("open", "close") or found.count != octree.count
 
 
 def test_a_grid_that_would_grow_too_large_is_refused() -> None:

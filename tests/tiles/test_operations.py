@@ -94,7 +94,7 @@ def test_morphology(device: Device, tmp_path_factory, seed: int) -> None:
     octree = Octree.from_dense(blocky(random), (1, 2, 3), PITCH, units="mm")
     operation, shape = random.choice(MORPHOLOGY), random.choice(ELEMENTS)
     request = {"world": bool(random.random() < 0.5), "shape": shape}
-    radius = float(random.choice([0, 1, 2.5, 7, 20]) * (0.25 if request["world"] else 1))
+    radius = float(random.choice([1, 2.5, 7, 20]) * (0.25 if request["world"] else 1))
     whole = plan_unread(octree, operation, radius, *request.values(), None)
     job = MorphWindowsJob(whole, octree, device, None)
     found, _ = made(job, tmp_path_factory.mktemp("w"), int(random.choice([16, 32, 64])))

@@ -28,7 +28,8 @@ def hausdorff(
     Parameters
     ----------
     a, b : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
-        The two meshes; they need not be closed, and faces without area count.
+        The two meshes; they need not be closed, and faces without area count. If both have units,
+        and different ones, b is scaled: distances are in the unit of a.
     tolerance : float, optional
         How far apart the bounds of each direction may be, world units; by default 1e-5 of the
         diagonal of the box around both meshes. They are further apart if it is less than the
@@ -121,7 +122,8 @@ def deviation(
     Parameters
     ----------
     surface, reference : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
-        The two surfaces.
+        The two surfaces. If both have units, and different ones, the reference is scaled:
+        distances are in the unit of the surface.
     samples : int
         Points on each of the two.
     pitch : float, optional

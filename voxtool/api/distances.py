@@ -23,10 +23,11 @@ from voxtool.choices import (
 )
 from voxtool.distances import DistanceGridJob, DistanceJob
 from voxtool.files import read_adf
+from voxtool.files.lattices import placed
 from voxtool.files.mesh import as_mesh
 from voxtool.files.spool import Spool
 from voxtool.files.streams import STREAM
-from voxtool.grid import Grid, grid_of
+from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device, default_device
 from voxtool.spatial import signed_distance
@@ -312,10 +313,11 @@ def plan_distance(
 
 def plan_distance_grid(
     mesh: MeshLike,
-    grid: Grid | None = None,
+    grid: Grid | Path | None = None,
     *,
     dim: int | None = None,
     pitch: float | None = None,
+    lattice: Grid | Path | None = None,
     fill: str = FILLS[0],
     gap: int = 0,
     dtype: Any = np.float64,
@@ -330,8 +332,8 @@ def plan_distance_grid(
 
     Parameters
     ----------
-    mesh, grid, dim, pitch, gap, device, max_memory
-        As in voxelize.
+    mesh, grid, dim, pitch, lattice, gap, device, max_memory
+        As in voxelize; distances are in the unit of the grid.
     fill : str
         As in voxelize, or "none" for distances without a sign.
     dtype : dtype
@@ -347,9 +349,9 @@ def plan_distance_grid(
     MeshError, GridError, MemoryLimitError, DeviceError
         As in voxelize and distance.
     """
-    found = as_mesh(mesh, max_memory)
+    found, grid, *_ = placed(as_mesh(mesh, max_memory), grid, lattice, dim=dim, pitch=pitch)
     return distances.plan_distance_grid(
-        found, grid_of(found, grid, dim, pitch), fill=fill, gap=gap, dtype=dtype, device=device,
+        found, grid, fill=fill, gap=gap, dtype=dtype, device=device,
         max_memory=max_memory,
     )  # fmt: skip
 

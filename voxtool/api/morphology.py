@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from voxtool.api.octrees import Path, opened
 from voxtool.choices import ELEMENTS, NEIGHBOURS
 from voxtool.files import read_svo
-from voxtool.files.imports import read_grid
+from voxtool.files.lattices import unit_checked
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device
@@ -44,7 +44,7 @@ def plan_morph(
         radius of an unset one), "open" (eroded, then dilated), "close" (dilated, then eroded), or
         "shell" (only those within the radius of an unset one). All beyond the grid is unset.
     radius
-        in voxels, from centre to centre; up to 128 voxels. Squares are compared exactly, of the
+        in voxels, from centre to centre; from 1 to 128 voxels. Squares are compared exactly, of the
         number as it is given.
     world
         the radius is in world units; voxels need not be cubes.
@@ -64,7 +64,7 @@ def plan_morph(
     Raises
     ------
     VoxtoolError
-        an argument is out of range.
+        an argument is out of range, or the radius is less than one voxel.
     MemoryLimitError
         the result would not fit. DeviceError : no usable device.
 
@@ -268,6 +268,7 @@ def plan_resample(
     octree: Octree | Path,
     grid: Grid | Path | None = None,
     *,
+    lattice: Grid | Path | None = None,
     dim: int | None = None,
     pitch: float | None = None,
     bbox: Sequence[float] | None = None,
@@ -288,6 +289,9 @@ def plan_resample(
         an Octree or a path.
     grid
         the new Grid, or the path of a file whose grid it is, as `voxtool import` reads it.
+    lattice
+        instead of a grid: a Grid or a path with whose voxels those of the new grid coincide, over
+        the octree's box or `bbox`.
     dim
         voxels along the longest side, without a grid.
     pitch
@@ -311,23 +315,24 @@ def plan_resample(
     VoxtoolError
         the threshold is no share.
     GridError
-        the grid is not said, or out of range.
+        the grid is not said, or out of range, or that of a file in another unit.
     MemoryLimitError
         the result would not fit. DeviceError : no usable device.
 
     Warns
     -----
     MeshWarning
-        no voxel is set.
+        no voxel is set, or some lie beyond the grid.
 
     Examples
     --------
     >>> coarse = voxtool.resample(octree, dim=128)
     >>> placed = voxtool.resample(octree, other.grid, threshold=1)
     """
-    found = grid if isinstance(grid, Grid | None) else read_grid(grid)
+    found = opened(octree, read_svo)
+    onto, voxels = (unit_checked(one, found) for one in (grid, lattice))
     return resampling.plan_resample(
-        opened(octree, read_svo), found, dim=dim, pitch=pitch, bbox=bbox, threshold=threshold,
+        found, onto, lattice=voxels, dim=dim, pitch=pitch, bbox=bbox, threshold=threshold,
         device=device, max_memory=max_memory,
     )  # fmt: skip
 

@@ -16,7 +16,6 @@ from voxtool.choices import (
     DEFAULT_STYLE,
     FILLS,
     LABEL_STYLES,
-    NORMALIZED,
     OPERATIONS,
     PRIORITIES,
     SHARP,
@@ -24,10 +23,10 @@ from voxtool.choices import (
 )
 from voxtool.errors import VoxtoolError
 from voxtool.files import read_shape, read_svo
+from voxtool.files.lattices import placed
 from voxtool.files.mesh import as_mesh
 from voxtool.grid import Grid, grid_of
 from voxtool.job import one_call
-from voxtool.mesh import normalize as normalized
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
@@ -65,11 +64,12 @@ def opened(content: Content | Path, read: Callable[[Path], Content]) -> Content:
 
 def plan_voxelize(
     mesh: MeshLike,
-    grid: Grid | None = None,
+    grid: Grid | Path | None = None,
     mode: str = DEFAULT_MODE,
     *,
     dim: int | None = None,
     pitch: float | None = None,
+    lattice: Grid | Path | None = None,
     fill: str = FILLS[0],
     gap: int = 0,
     with_surface: bool = False,
@@ -94,7 +94,9 @@ def plan_voxelize(
     mesh
         a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3).
     grid
-        where the voxels lie; by default one around the mesh, of `dim` or `pitch`.
+        where the voxels lie, or the path of a file whose grid it is, as `voxtool import` reads it;
+        by default a grid around the mesh, of `dim` or `pitch`. If the units of mesh and file are
+        known and differ, the mesh is scaled, and the octree has the file's unit.
     mode
         "solid" (voxels whose centre is inside), "surface26" (voxels that touch a triangle),
         "surface6" (the thinner, 6-separating set), or "fraction" (voxels of which a part is inside,
@@ -103,6 +105,9 @@ def plan_voxelize(
         voxels along the longest side, without a grid; 256 unless pitch is given.
     pitch
         voxel size in world units, without a grid.
+    lattice
+        instead of a grid: a grid around the mesh whose voxels coincide with those of this Grid or
+        file, so that their octrees combine without loss; units as for a grid.
     fill
         what is inside, for "solid" and "fraction": "parity" (an odd number of crossings along x),
         "nonzero" (crossings that enter and leave do not cancel), "winding" (a winding number of
@@ -167,7 +172,7 @@ def plan_voxelize(
     Warns
     -----
     MeshWarning
-        no voxel is set, or the mesh leaks.
+        no voxel is set, the mesh leaks, or a part of it lies beyond the grid.
 
     References
     ----------
@@ -179,9 +184,9 @@ def plan_voxelize(
     >>> octree.count, octree.digest()
     """
     found = as_mesh(mesh, max_memory, kept_for(labels, attributes))
-    placed = grid_of(found, grid, dim, pitch)
+    found, grid, *_ = placed(found, grid, lattice, dim=dim, pitch=pitch)
     return plan_octree(
-        found, placed, mode, fill=fill, gap=gap, with_surface=with_surface, connected=connected,
+        found, grid, mode, fill=fill, gap=gap, with_surface=with_surface, connected=connected,
         fraction_type=fraction_type, face_fractions=face_fractions, labels=labels,
         priority=priority, attributes=attributes, colour=colour, window=window, device=device,
         max_memory=max_memory,
@@ -457,36 +462,3 @@ def orient(mesh: MeshLike, *, device: Device | None = None) -> Mesh:
     >>> octree = voxtool.voxelize(voxtool.orient("parts.stl"), fill="winding")
     """
     return orientation.orient(as_mesh(mesh), device).mesh
-
-
-def normalize(mesh: MeshLike, into: str = NORMALIZED[0]) -> Mesh:
-    """Place a mesh in a unit cube or a unit ball; the result keeps the transform.
-
-    Parameters
-    ----------
-    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
-        The triangle mesh.
-    into : {"unit", "sphere"}
-        "unit" is the cube [0, 1]^3: the longest side of the bounding box becomes 1, and its centre
-        (0.5, 0.5, 0.5). "sphere" is the ball of radius 1 at 0: the centre of the bounding box
-        becomes 0, and the farthest vertex gets the distance 1.
-
-    Returns
-    -------
-    Mesh
-        Its vertices are `vertices * scale + offset`, its `transform` is (scale, offset x, offset y,
-        offset z), which octrees made of it keep, and it has no unit.
-
-    Raises
-    ------
-    MeshError
-        If the mesh cannot be read, has been normalized before, or has an extent beyond 1e±150.
-    VoxtoolError
-        If `into` is unknown.
-
-    Examples
-    --------
-    >>> octree = voxtool.voxelize(voxtool.normalize("bunny.obj", "sphere"), dim=128)
-    >>> scale, *offset = octree.transform
-    """
-    return normalized.normalize(as_mesh(mesh), into)

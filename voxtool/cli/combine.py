@@ -36,14 +36,14 @@ def command(
     """Combine the voxels of OCTREES of one lattice.
 
     OCTREES are files that voxelize wrote; one of them may be - for stdin. Their voxels must have
-    one size, and their origins be whole numbers of voxels apart: voxelize one of them --like the
-    other. The grid of the result holds all of theirs, and its octree has a leaf wherever a block is
-    wholly set or empty.
+    one size, and their origins be whole numbers of voxels apart: voxelize one of them with
+    --lattice, naming the other. The grid of the result holds all of theirs, and its octree has a
+    leaf wherever a block is wholly set or empty.
 
     \b
     Examples:
       voxtool combine bunny.svo.h5 box.svo.h5 --op difference -o part.svo.h5
-      voxtool voxelize open.obj --like bunny.svo.h5 -o - | voxtool combine bunny.svo.h5 -
+      voxtool voxelize open.obj --lattice bunny.svo.h5 -o - | voxtool combine bunny.svo.h5 -
     """
     from voxtool.files import SVO_FORMATS, export, open_svo, write_svo
     from voxtool.svo.attribution.carry import check_kept, kept_of

@@ -6,6 +6,7 @@ import click
 
 from voxtool.choices import DEFAULT_DIM
 from voxtool.cli import options, runner
+from voxtool.cli.inputs import refuse_inputs
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, flag, option, together
 from voxtool.errors import CheckError, count_of
@@ -21,7 +22,7 @@ TUBE = 2e-3  # radius of a tube about a loop, of the mesh's longest side
     option("--obj", str, "Write the boundary loops as thin tubes, a mesh that any viewer shows.",
         metavar="FILE.obj"),
     options.length_options(),
-    options.clobber_option,
+    options.clobber_options,
     flag("--strict faults_fail", "Exit 1 if something is wrong."),
 )  # fmt: skip
 @runner.run_options(options.device_option, options.report_options)  # fmt: skip
@@ -53,9 +54,9 @@ def command(
         if obj == "-":
             raise click.UsageError("stdout has the report: name a file for --obj")
         format_of(obj, ("obj",))
+        if not run.overwrite:
+            refuse_inputs([obj])
         check_target(obj, not run.no_clobber)
-        if options.same_file(mesh, obj):
-            raise click.UsageError(f"{obj} is MESH itself: name another file")
     with run:
         run.progress.stages = ["read mesh", *STAGES]
         loaded = run.stage("read mesh", load_mesh, mesh, units=units, scale=scale)

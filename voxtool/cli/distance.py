@@ -9,7 +9,8 @@ import click
 from voxtool.choices import POINT_FILLS
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
-from voxtool.cli.options import DIM, bbox_option, flag, option, together
+from voxtool.cli.options import DIM, flag, option, together
+from voxtool.cli.placing import FILES, OWN, check_placing, lattice_options, placed
 from voxtool.errors import count_of
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ COLUMNS = {
 
 def on_grid(values: Mapping[str, Any]) -> bool:
     """Return whether the options ask for the distances of a grid."""
-    names = ("like", "dim", "pitch", "bbox", "margin", *options.LATTICE)
+    names = ("dim", "pitch", "bbox", "margin", *FILES, *OWN)
     return any(values[name] is not None for name in names)
 
 
@@ -54,9 +55,8 @@ def arranged(words: Sequence[str], values: dict[str, Any]) -> tuple[Sequence[str
         POINT_FILLS[0]),
     option("--dim", DIM, "Measure a grid of this size."),
     option("--pitch", float, "Measure a grid of voxels of this size."),
-    bbox_option,
     option("--margin", click.IntRange(0), "Empty voxels on each side of the grid."),
-    options.lattice_options,
+    lattice_options,
     options.length_options(),
     options.normalize_option("in the report"),
     flag("--float32", "Write a grid as float32 rather than float64."),
@@ -68,22 +68,22 @@ def arranged(words: Sequence[str], values: dict[str, Any]) -> tuple[Sequence[str
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, points: str | None, fill: str,
-    like: str | None, units: str | None, scale: float, normalize: str | None, float32: bool,
+    units: str | None, scale: float, normalize: str | None, float32: bool,
     gradient: bool, nearest: bool, face: bool, **placing: Any,
 ) -> None:  # fmt: skip
     """Measure exact signed distances from POINTS, or from the voxel centres of a grid, to a MESH.
 
     Distances are negative inside, in the mesh's own units, once scaled. POINTS is a .npy, .npz,
-    .csv, .xyz or .ply file, or - for stdin. With --dim, --pitch, --bbox or --like the result is an
-    array [x, y, z], negative exactly where voxelize sets the voxel on the same grid.
+    .csv, .xyz or .ply file, or - for stdin. With --dim, --pitch, --bbox, --like or --lattice the
+    result is an array [x, y, z], negative exactly where voxelize sets the voxel on the same grid.
 
     \b
     Examples:
       voxtool distance bunny.obj points.csv --gradient --nearest --face -o distances.csv
       voxtool distance bunny.obj --dim 64 -o sdf.npy
     """
-    options.check_placing(like, placing)
-    whole_grid = on_grid({"like": like, **placing})
+    check_placing(placing)
+    whole_grid = on_grid(placing)
     asked = {"gradient": gradient, "nearest": nearest, "face": face}
     if whole_grid:
         if any(asked.values()):
@@ -106,8 +106,9 @@ def command(
     with run:
         loaded = run.mesh(mesh, units, scale, normalize)
         if whole_grid:
-            grid = options.grid_from(loaded, like, placing)
+            loaded, grid, beyond, _ = placed(run, loaded, placing)
             facts = measure_grid(run, loaded, grid, fill, "float32" if float32 else "float64")
+            facts["beyond"] = beyond
         else:
             facts = measure_points(run, loaded, points or "-", fill, asked)
     count, facts["units"] = facts["points"], loaded.units

@@ -9,18 +9,8 @@ import click
 
 from voxtool.choices import FLUIDS, LATTICES
 from voxtool.cli import options, runner
-from voxtool.cli.options import (
-    BYTES,
-    POINT,
-    POSITIVE,
-    SPACING,
-    Parsed,
-    flag,
-    option,
-    plane_of,
-    together,
-    whole_numbers_of,
-)
+from voxtool.cli.options import BYTES, POSITIVE, Parsed, flag, option, plane_of, together
+from voxtool.cli.placing import POINT, SHAPE, SPACING, bbox_option, file_options, in_unit_of
 from voxtool.errors import human
 from voxtool.files.formats import EXPORTS, ending
 
@@ -29,11 +19,6 @@ if TYPE_CHECKING:
 
 SLICE = Parsed(
     "slice", lambda text: plane_of(text, number_of), " is no plane of voxels: write z=128, or z=all"
-)
-SHAPE = Parsed(
-    "shape",
-    lambda text: whole_numbers_of(text) if "," in text else int(text),
-    " is no shape: write 128, or 256,256,128",
 )
 KNOWN = ", ".join(map(ending, EXPORTS))
 ALL = "all"
@@ -53,8 +38,7 @@ def number_of(text: str) -> int | str:
 @together(
     option("--level", click.IntRange(0),
         "Cells of 2^N voxels a side; 0 is the voxels themselves.", 0, metavar="N"),
-    option("--bbox", float, "Only the cells that this box touches, in world units.", nargs=6,
-        metavar="X0 Y0 Z0 X1 Y1 Z1"),
+    bbox_option("Only the cells that this box touches, in world units."),
     flag("--invert", "Export what is not set instead of what is."),
     option("--dtype", ("bool", "uint8", "uint16", "uint32", "float32", "float64"),
         "bool: at least the share --isovalue of a cell is set; whole numbers: how many of its "
@@ -75,9 +59,7 @@ def number_of(text: str) -> int | str:
         metavar="NAME[,NAME...]"),
     option("--band", POSITIVE,
         "Of a field as a level set: its half-width, in voxels.  [default: 3]", metavar="VOXELS"),
-    option("--like", str,
-        "Of a field: sample it on the grid of an octree, or of an image or array that `voxtool "
-        "import` reads.", metavar="FILE"),
+    file_options("Fields: ", "the extent of the field"),
     option("--origin", POINT, "Of a field: with --shape and --spacing, the low corner of the grid.",
         metavar="X,Y,Z"),
     option("--shape", SHAPE, "Of a field: samples along each axis.", metavar="N|NX,NY,NZ"),
@@ -113,7 +95,8 @@ def number_of(text: str) -> int | str:
 )
 def command(
     run: runner.Run, file: str, plane: tuple[str, int | str] | None, axis: str | None,
-    dpi: float | None, like: str | None, origin: tuple[float, ...] | None, windows: str,
+    dpi: float | None, like: str | None, lattice: str | None, origin: tuple[float, ...] | None,
+    windows: str,
     links: str | None, source: str | None, fluid: str | None, units: str | None, scale: float,
     **image: Any,
 ) -> None:  # fmt: skip
@@ -140,7 +123,8 @@ def command(
     from voxtool.files.exchange import plan_export
 
     if links:
-        given = {"slice": plane, "axis": axis, "dpi": dpi, "like": like, "origin": origin, **image}
+        given = {"slice": plane, "axis": axis, "dpi": dpi, "like": like, "lattice": lattice}
+        given |= {"origin": origin, **image}
         given["windows"] = windows != "auto"
         write_links(run, file, given, source, units, scale, links, fluid or FLUIDS[0])
         return
@@ -150,7 +134,7 @@ def command(
         raise click.UsageError(f"where to? Give -o OUT, ending in one of {KNOWN}")
     run.to(file, run.output, EXPORTS)
     image |= layers_of(run.file_format or "", plane, axis, dpi)
-    image |= grid_of(like, origin, image)
+    image |= grid_of(like, lattice, origin, image)
     run.on_device = False  # an octree needs none
     with ExitStack() as stack:
         with run:
@@ -187,6 +171,7 @@ def write_links(
     with ExitStack() as stack, run:
         octree: Any = run.stage("read file", stack.enter_context, open_svo(file))
         mesh = run.stage("read source", load_mesh, source, units=units, scale=scale)
+        mesh = in_unit_of(run, mesh, octree)
         with run.naming(file):
             job = run.plan(
                 plan_wall_links, octree, source_of(octree, mesh), lattice, fluid,
@@ -234,14 +219,19 @@ def layers_of(
     return {"axis": plane[0], "value": plane[1]}
 
 
-def grid_of(like: str | None, origin: Any, image: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a grid that --like names, or that its own numbers give."""
+def grid_of(
+    like: str | None, lattice: str | None, origin: Any, image: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the options of a grid that a file gives, or its own numbers."""
     shape, spacing = image["shape"], image["spacing"]
-    given = [name for name in ("origin", "shape", "spacing") if {**image, "origin": origin}[name]]
-    if like:
-        if given:
-            raise click.UsageError(f"--like sets the grid: drop --{' and --'.join(given)}")
-        return {"grid": like}
+    own = {"origin": origin, "shape": shape, "spacing": spacing}
+    given = [name for name, value in own.items() if value is not None]
+    if (like or lattice) and (given or (like and lattice)):
+        others = [*given, *["lattice"] * bool(like and lattice)]
+        what = "--like sets the grid" if like else "--lattice sets the voxels"
+        raise click.UsageError(f"{what}: drop --{' and --'.join(others)}")
+    if like or lattice:
+        return {"grid": like, "lattice": lattice}
     if len(given) < 2 and origin is None:
         return {}
     if len(given) < 3:

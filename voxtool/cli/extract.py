@@ -20,14 +20,14 @@ from voxtool.choices import (
 )
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, POSITIVE, flag, option, output_of, together
-from voxtool.errors import CheckError, MemoryLimitError, MeshError, count_of
+from voxtool.cli.placing import in_unit_of
+from voxtool.errors import CheckError, MemoryLimitError, count_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.adf.field import DistanceField
     from voxtool.job import Job
-    from voxtool.mesh.mesh import Mesh
     from voxtool.svo.content import OctreeContent
     from voxtool.svo.octree import Octree
     from voxtool.tiles.surface import SurfaceWindowsJob
@@ -150,13 +150,11 @@ def command(
                     content = run.stage("read file", in_memory, content, run.max_memory, used)
         shape: Any = content
         if source is not None:
-            request["source"] = run.stage(
-                "read source", load_mesh, source, units=units, scale=scale
-            )
+            found = run.stage("read source", load_mesh, source, units=units, scale=scale)
+            request["source"] = in_unit_of(run, found, shape)
         reference = None
         if against is not None:
-            reference = load_mesh(against, units=units, scale=scale)
-            check_units(shape, reference)
+            reference = in_unit_of(run, load_mesh(against, units=units, scale=scale), shape)
         after = ["check"] * check + ["measure"] * bool(against)
         with run.naming(octree):
             job: Job[Any] = parts or planned(run, shape, request, naive)
@@ -281,17 +279,6 @@ def check_names(
             raise options.input_twice("OCTREE", name)
     if against == source == "-":
         raise options.input_twice("--source", "--against")
-
-
-def check_units(source: Octree | DistanceField, mesh: Mesh) -> None:
-    """Raise MeshError if an octree or a field and the mesh that it is compared with have different
-    units."""
-    if source.units and mesh.units and source.units != mesh.units:
-        what = "octree" if hasattr(source, "grid") else "field"
-        raise MeshError(
-            f"{mesh.name}: in {mesh.units}, and the {what} in {source.units}: give --scale, and "
-            f"--units {source.units}"
-        )
 
 
 def volumes_of(within: float, of_voxels: float) -> dict[str, float]:

@@ -8,7 +8,8 @@ import click
 
 from voxtool.choices import OCTREE_MODES
 from voxtool.cli import options, runner
-from voxtool.cli.options import POINT, SPACING, flag, option, together
+from voxtool.cli.options import flag, option, together
+from voxtool.cli.placing import POINT, SPACING
 from voxtool.files.formats import ADF_FORMATS, IMPORTS, OCTREE_FORMATS, SVO_FORMATS
 
 if TYPE_CHECKING:
@@ -113,15 +114,15 @@ def import_voccel(
         )
     from voxtool.cli.voxelize import facts_of, report_line
     from voxtool.files import read_svo, write_svo
-    from voxtool.files.imports import read_grid
+    from voxtool.files.lattices import Lattice, read_lattice
     from voxtool.files.voccel import placed
 
     run.to(file, options.output_of(file, "svo.h5"), SVO_FORMATS)
     with run:
         octree = run.stage("read octree", read_svo, file)
-        grid = run.stage("read grid", read_grid, like) if like else None
+        other = run.stage("read grid", read_lattice, like) if like else Lattice(octree.grid)
         with run.naming(file):
-            octree = placed(octree, grid, mode)
+            octree = placed(octree, other.grid, mode, other.units)
         run.write(write_svo, octree)
     run.report(report_line(octree, run.size), lambda: facts_of(octree))
 

@@ -12,15 +12,17 @@ import math
 import os
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.cli import options
+from voxtool.cli.inputs import refuse_inputs
 from voxtool.cli.options import Parsed, flag, option, together
 from voxtool.cli.runner import SHARED
-from voxtool.errors import CheckError, DeviceError, VoxtoolError, human, printable
+from voxtool.errors import CheckError, DeviceError, FileError, VoxtoolError, human, printable
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -112,9 +114,20 @@ def is_one(
 ) -> bool:
     """Return whether a command line is of one mesh and its output."""
     into_folder = output is not None and output.endswith(("/", os.sep, TAR))
+    if len(meshes) > 1 or own["shard"] or into_folder:
+        return False
     shared = own["dask"] or own["workers"]
-    divided = divides and own["dask"]
-    return len(meshes) == 1 and not own["shard"] and not into_folder and bool(divided or not shared)
+    return bool(divides and own["dask"]) or not shared or names_file(output)
+
+
+def names_file(output: str | None) -> bool:
+    """Return whether a name says the format of an output, so that it is none of a folder."""
+    from voxtool.files.formats import ADF_FORMATS, EXPORTS, MESH_FORMATS, SVO_FORMATS, format_of
+
+    with suppress(FileError):
+        format_of(output or "", (*SVO_FORMATS, *ADF_FORMATS, *MESH_FORMATS, *EXPORTS))
+        return True
+    return False
 
 
 class Many:
@@ -156,6 +169,8 @@ class Many:
         if self.folder is not None and not self.values["only_plan"]:
             from voxtool.files.manifest import Manifest, make_folder
 
+            if not self.values["overwrite"]:
+                refuse_inputs([*(str(task.output) for task in tasks), *filter(None, [self.tar])])
             if self.tar and self.is_packed(self.tar):
                 self.counts["up to date"] = len(tasks)
                 return self.summarize(None, time.perf_counter() - began)

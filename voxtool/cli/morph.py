@@ -12,6 +12,7 @@ from voxtool.cli import options, runner
 from voxtool.cli.in_windows import loaded, make_in_windows, opened, windows_options
 from voxtool.cli.info import place, table
 from voxtool.cli.options import COMPONENTS, DIM, RADIUS, flag, option, together
+from voxtool.cli.placing import FILES, bbox_option, check_placing, file_options
 from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from voxtool.tiles.morphing import MorphWindowsJob
 
 EXTENSION = "svo.h5"
-PLACING = ("dim", "pitch", "bbox")  # options of a grid
+PLACING = ("dim", "pitch", "bbox", *FILES)  # options of a grid
 SHOWN = 20  # components in a report as text
 
 
@@ -59,18 +60,15 @@ SHOWN = 20  # components in a report as text
         f"[default: {NEIGHBOURS[0]}]"),
     flag("--fill-cavities", "Set what the outside does not reach across faces."),
     flag("--thin", "Of a surface: remove the voxels that it does not need to separate."),
-    flag("--resample", "Resample to another grid, of --dim, --pitch, --bbox or --like."),
+    flag("--resample", "Resample to another grid, of --dim, --pitch, --bbox, --like or --lattice."),
     option("--threshold", float,
         "With --resample: the share of a voxel that is covered, at least, if it is set.  [default: "
         "0.5]"),
     option("--dim", DIM, "With --resample: voxels along the longest side."),
     option("--pitch", float, "With --resample: voxel size in world units."),
-    option("--bbox", float,
-        "With --resample: box that the grid covers, in world units, instead of the octree's.",
-        nargs=6, metavar="X0 Y0 Z0 X1 Y1 Z1"),
-    option("--like", str,
-        "With --resample: the grid of another octree, or of an image or array that `voxtool "
-        "import` reads.", metavar="FILE"),
+    bbox_option(
+        "With --resample: box that the grid covers, in world units, instead of the octree's."),
+    file_options("With --resample: ", "the octree's box, or that of --bbox"),
     windows_options,
 )  # fmt: skip
 @runner.job_options(
@@ -91,7 +89,7 @@ def command(
     \b
     Examples:
       voxtool morph bunny.svo.h5 --close 8 -o closed.svo.h5
-      voxtool morph bunny.svo.h5 --shell 0.002 --world -o hollow.svo.h5
+      voxtool morph bunny.svo.h5 --shell 0.02 --world -o hollow.svo.h5
       voxtool morph bunny.svo.h5 --keep largest -o body.svo.h5
       voxtool morph bunny.svo.h5 --components -o labels.npy
       voxtool morph bunny.svo.h5 --resample --dim 64 -o coarse.svo.h5
@@ -130,10 +128,17 @@ def command(
 
 def check_request(request: dict[str, Any]) -> None:
     """Refuse a request of no operation, of several, or with options of another one."""
-    by_radius = [f"--{name}" for name in MORPHOLOGY if request[name] is not None]
-    by_size = ["--keep", "--min-size"] if request["keep"] or request["min_size"] else []
-    others = [name for name in ("components", "fill_cavities", "thin", "resample") if request[name]]
-    if len(by_radius) + bool(by_size) + len(others) != 1:
+
+    def given_of(*names: str) -> list[str]:
+        given = [n for n in names if request[n] is not None and request[n] is not False]
+        return [f"--{name.replace('_', '-')}" for name in given]
+
+    by_radius, by_size = given_of(*MORPHOLOGY), given_of("keep", "min_size")
+    asked = [*by_radius, *by_size[:1], *given_of("components", "fill_cavities", "thin", "resample")]
+    if len(asked) > 1:
+        *first, last = asked
+        raise click.UsageError(f"one operation a call: drop {', '.join(first)} or {last}")
+    if not asked:
         every = ", ".join(f"--{name}" for name in MORPHOLOGY)
         raise click.UsageError(
             f"what is to be done? Give one of {every}, --keep or --min-size, --components, "
@@ -143,13 +148,15 @@ def check_request(request: dict[str, Any]) -> None:
         raise click.UsageError("--world and --shape go with a radius, as of --close")
     if request["neighbours"] and not (by_size or request["components"]):
         raise click.UsageError("--neighbours goes with --keep, --min-size and --components")
-    given = [f"--{name}" for name in (*PLACING, "like", "threshold") if request[name] is not None]
+    given = given_of(*PLACING, "threshold")
     if given and not request["resample"]:
         raise click.UsageError(f"{given[0]} goes with --resample")
     if request["resample"]:
         if not {*given} - {"--threshold"}:
-            raise click.UsageError("resample to what? Give --dim, --pitch, --bbox or --like")
-        options.check_placing(request["like"], {name: request[name] for name in PLACING})
+            raise click.UsageError(
+                "resample to what? Give --dim, --pitch, --bbox, --like or --lattice"
+            )
+        check_placing({name: request[name] for name in PLACING})
 
 
 def neighbours_of(request: dict[str, Any]) -> int:
@@ -218,16 +225,18 @@ def planned(
     run: runner.Run, octree: Octree, request: dict[str, Any]
 ) -> MorphJob | ComponentsJob | ResampleJob | ThinJob:
     """Return the planned job of a request."""
-    from voxtool.files.imports import read_grid
+    from voxtool.files.lattices import unit_checked
     from voxtool.svo.components import plan_fill_cavities, plan_keep_components
     from voxtool.svo.morphology import plan_morph
     from voxtool.svo.resample import DEFAULT_THRESHOLD, plan_resample
     from voxtool.svo.thin import plan_thin
 
     if request["resample"]:
-        grid = read_grid(request["like"]) if request["like"] else None
         threshold = DEFAULT_THRESHOLD if request["threshold"] is None else request["threshold"]
         placing = {name: request[name] for name in PLACING}
+        for name in FILES:
+            placing[name] = unit_checked(placing[name], octree)
+        grid = placing.pop("like")
         return run.plan(plan_resample, octree, grid, threshold=threshold, **placing)
     for operation in MORPHOLOGY:
         if (radius := request[operation]) is not None:
@@ -258,7 +267,7 @@ def facts_of(
         names = ("operation", "radius", "world", "shape", "grid", "low")
         found = {name: job.describe()[name] for name in names}
     elif isinstance(job, ResampleJob):
-        names = ("operation", "shape", "origin", "pitch", "threshold", "exact")
+        names = ("operation", "shape", "origin", "pitch", "threshold", "exact", "beyond")
         found = {name: job.describe()[name] for name in names}
     elif isinstance(job, ThinJob):
         found = {name: job.describe()[name] for name in ("operation", "neighbours")}

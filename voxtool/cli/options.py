@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import math
-import os
 import re
 import sys
 import threading
@@ -15,14 +14,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from voxtool.choices import FITS, LENGTH_UNITS, MAX_DIM, MIN_DIM, NORMALIZED
+from voxtool.choices import LENGTH_UNITS, MAX_DIM, MIN_DIM, NORMALIZED
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from voxtool.grid import Grid
-    from voxtool.mesh.mesh import Mesh
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -81,14 +77,6 @@ def numbers_of(text: str, count: int) -> tuple[float, ...]:
     """Return this many finite numbers, which commas separate."""
     numbers = tuple(map(float, text.split(",")))
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise ValueError
-    return numbers
-
-
-def whole_numbers_of(text: str) -> tuple[int, ...]:
-    """Return three whole numbers, which commas separate."""
-    numbers = tuple(map(int, text.split(",")))
-    if len(numbers) != 3:
         raise ValueError
     return numbers
 
@@ -174,7 +162,7 @@ def colour_of(text: str) -> tuple[float, ...]:
 
 
 POSITIVE = Parsed("number", positive_of, " is no positive number")
-RADIUS = Parsed("radius", radius_of, " is no radius: give 0 or more")
+RADIUS = Parsed("radius", radius_of, " is no radius: give 1 voxel or more")
 COMPONENTS = Parsed(
     "components", number_to_keep, " is no number of components: write largest, or 3"
 )
@@ -211,29 +199,11 @@ device_option = option(
     "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
     metavar="DEVICE",
 )  # fmt: skip
-bbox_option = option(
-    "--bbox", float, "Box that the grid covers, in world units, instead of the mesh's.", nargs=6,
-    metavar="X0 Y0 Z0 X1 Y1 Z1",
-)  # fmt: skip
-POINT = Parsed("point", lambda text: numbers_of(text, 3), " is no point: write 0,1.5,-2")
-SPACING = Parsed(
-    "spacing",
-    lambda text: numbers_of(text, 3) if "," in text else numbers_of(text, 1)[0],
-    " is no size of a voxel: write 0.5, or 0.5,0.5,2",
-)
-LATTICE = ("origin", "shape", "spacing")  # options that give a grid by its own numbers
-lattice_options = together(
-    option("--like", str,
-        "Use the grid of another octree, or of an image or array that `voxtool import` reads.",
-        metavar="FILE"),
-    option("--origin", POINT, "With --shape and --spacing: the low corner of the grid.",
-        metavar="X,Y,Z"),
-    option("--shape", Parsed("shape", whole_numbers_of, " is no shape: write 256,256,128"),
-        "Voxels along each axis.", metavar="NX,NY,NZ"),
-    option("--spacing", SPACING, "Size of a voxel, in world units: one number or three.",
-        metavar="S"),
-)  # fmt: skip
 clobber_option = flag("--no-clobber", "Refuse to replace an existing file.")
+clobber_options = together(
+    clobber_option,
+    flag("--overwrite", "Let the output replace an input of the command."),
+)
 strict_option = flag("--strict", "Exit with 1 if there is a warning of the input or the result.")
 json_option = flag("--json as_json", "Print JSON.")
 quiet_option = flag("-q --quiet", "Nothing on stderr but errors.")
@@ -269,42 +239,9 @@ def format_option(*formats: str) -> Decorator:
 
 
 def output_options(metavar: str, default: str) -> Decorator:
-    """-o and --no-clobber."""
+    """-o, --no-clobber and --overwrite."""
     about = f"Where to write; - is stdout. {default}"
-    return together(option("-o --output", str, about, metavar=metavar), clobber_option)
-
-
-def check_placing(like: str | None, placing: Mapping[str, Any]) -> None:
-    """Refuse options that place the grid in two ways."""
-    given = [f"--{name}" for name, value in placing.items() if value not in (None, FITS[0])]
-    own = [name for name in given if name[2:] in LATTICE]
-    if own and len(own) < len(LATTICE):
-        raise click.UsageError("--origin, --shape and --spacing go together: give all three")
-    if own and not like and len(given) > len(LATTICE):
-        others = " and ".join(name for name in given if name not in own)
-        raise click.UsageError(f"--origin, --shape and --spacing set the grid: drop {others}")
-    if like and given:
-        raise click.UsageError(f"--like sets the grid: drop {' and '.join(given)}")
-    if {"--dim", "--pitch"} <= set(given):
-        raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
-    if "--fit" in given and set(given) - {"--fit", "--dim"}:
-        raise click.UsageError(
-            "--fit stretch goes with --dim alone: drop --pitch, --bbox, --margin"
-        )
-
-
-def grid_from(mesh: Mesh, like: str | None, placing: Mapping[str, Any]) -> Grid:
-    """Return the grid that the options place, around a mesh where they do not say."""
-    from voxtool.grid import Grid
-
-    if like:
-        from voxtool.files.imports import read_grid
-
-        return read_grid(like)
-    rest = {name: value for name, value in placing.items() if name not in LATTICE}
-    if placing["shape"]:
-        return Grid(placing["shape"], placing["origin"], placing["spacing"])
-    return Grid.fit(mesh, **rest)
+    return together(option("-o --output", str, about, metavar=metavar), clobber_options)
 
 
 def check_normals(format: str | None) -> None:
@@ -328,11 +265,6 @@ def points_of(points: str | None, name: str, other: str, hint: str) -> str:
     if points in (None, "-") and sys.stdin.isatty():
         raise click.UsageError(f"there are no POINTS: {hint}")
     return points or "-"
-
-
-def same_file(one: str, other: str) -> bool:
-    """True if two names are of one file that exists."""
-    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
 def shown(source: str) -> str:

@@ -1,6 +1,6 @@
 """The runner of all commands: read, plan, run, write, report.
 
-A command module holds its options, its help, and what it reports. `options` at the end of its
+A command module holds its options, its help, and what it reports. `job_options` at the end of its
 decorators adds the shared options and passes their values as a `Run`, the first argument:
 
     @click.command("voxelize")
@@ -14,9 +14,8 @@ decorators adds the shared options and passes their values as a `Run`, the first
             run.write(write_svo, octree)
         run.report(f"{octree.count:,} voxels in {run.size}", lambda: {"voxels": octree.count})
 
-The job's own stages are those of the progress bar; `--plan` ends the command at `run.job`. A
-command without an output file names its options with `run_options`, and calls `finish` instead of
-`report`.
+`--plan` ends the command at `run.job`. A command without an output file names its options with
+`run_options`, and calls `finish` instead of `report`.
 """
 
 from __future__ import annotations
@@ -34,6 +33,7 @@ import click
 from click.globals import push_context
 
 from voxtool.cli import options
+from voxtool.cli.inputs import refuse_inputs
 from voxtool.errors import CheckError, FileError, MemoryLimitError, VoxtoolError, human
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ JOB = "job"  # stands for the stages of a job on the device
 
 @dataclass
 class Item:
-    """One of many meshes: the lock of the device that they share, and what the report says."""
+    """One of many meshes: the lock of their device, and what the report says."""
 
     lock: AbstractContextManager[Any]
     facts: dict[str, Any] = field(default_factory=dict)
@@ -65,6 +65,7 @@ class Run:
 
     output: str | None = None
     no_clobber: bool = False
+    overwrite: bool = False
     file_format: str | None = None
     only_plan: bool = False
     max_memory: int | None = None
@@ -84,6 +85,7 @@ class Run:
     details: list[str] = field(default_factory=list)  # remarks for -v
     _before: int = 0  # bytes that were written before the output
     _times: dict[str, float] = field(default_factory=dict)  # of stages on the host
+    _after_reading: Callable[[], None] | None = None  # what follows the first stage
     _stage: tuple[str, float] | None = None  # the stage that runs, and when it began
 
     # ---- where the result goes
@@ -94,24 +96,35 @@ class Run:
 
         Raises
         ------
-        click.UsageError : stdout is a terminal, and the format is not text.
+        click.UsageError : stdout is a terminal, and the format is not text; or it is an input.
         FileError : the file cannot be written, or its name does not say the format.
         """
         from voxtool.files.atomic import written
         from voxtool.files.formats import TEXT_FORMATS, check_output, format_of
 
         self.source = source
-        if self.output is None:
-            self.output = default
+        by_default = self.output is None
+        self.output = default if self.output is None else self.output
         self.file_format = self.file_format or format_of(self.output, formats)
         self._before = written()
         click.get_current_context().meta[options.TO_STDOUT] = self.to_stdout
         if self.only_plan:
             return
         if not self.to_stdout:
+            if by_default:  # the input may be of the wrong kind, which is said first
+                self._after_reading = self.refuse_inputs
+            else:
+                self.refuse_inputs()
             check_output(self.output, self.file_format, not self.no_clobber)
         elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
+
+    def refuse_inputs(self, more: Iterable[str] = ()) -> None:
+        """Raise UsageError if the output would replace an input, or one of `more`, unasked."""
+        from voxtool.files.formats import folder_of
+
+        if not self.overwrite:
+            refuse_inputs([folder_of(str(self.output), str(self.file_format))], more)
 
     def to_table(self, points: str, what: str = "distance") -> None:
         """Choose the output of a table of values at points: CSV on stdout, otherwise .npy, unless
@@ -122,9 +135,6 @@ class Run:
         self.file_format = self.file_format or ("csv" if piped else None)
         default = options.output_of(points, f"{what}.{self.file_format or 'npy'}")
         self.to(points, default, ANSWER_FORMATS)
-        # the input is read while the output is written
-        if options.same_file(points, str(self.output)):
-            raise click.UsageError(f"{self.output} is POINTS itself: name another output")
 
     def table(self, columns: Sequence[tuple[str, str]]) -> AbstractContextManager[Answers]:
         """Open the output as a table of these columns, which is written block by block."""
@@ -171,7 +181,7 @@ class Run:
         return shared_device(self.device_name, profile=profile)
 
     def _open_device(self, context: click.Context) -> None:
-        """Open the device in a thread of its own, in the context of the command."""
+        """Open the device, in a thread of its own."""
         push_context(context)  # for warnings
         with suppress(VoxtoolError):  # which the command meets at the first use
             self._shared_device()
@@ -207,6 +217,9 @@ class Run:
         self.enter(name)
         result = work(*args, **more)
         self.enter(None)
+        check, self._after_reading = self._after_reading, None
+        if check:
+            check()
         return result
 
     def mesh(self, name: str, units: str | None, scale: float, normalize: str | None) -> Mesh:
@@ -223,17 +236,21 @@ class Run:
     ) -> Mesh:
         """Read meshes as one, with what is to be kept of them, and place it."""
         if normalize and (units or scale != 1):
-            raise click.UsageError(
-                "--normalize sets the scale and leaves no unit: drop --units and --scale"
-            )
+            message = "--normalize sets the scale and leaves no unit: drop --units and --scale"
+            raise click.UsageError(message)
+        from voxtool.files import companions
         from voxtool.files.mesh import load_mesh
         from voxtool.mesh.joining import join
+        from voxtool.mesh.lengths import conversion
         from voxtool.mesh.normalize import normalize as placed
 
-        given = {"max_memory": self.max_memory, "units": units, "scale": scale}
-        given |= {"keep": keep} if keep else {}
-        found = [self.stage("read mesh", load_mesh, name, **given) for name in names]
+        given = {"max_memory": self.max_memory, "units": units, "scale": scale, "keep": keep}
+        with companions.noting() as beside:
+            found = [self.stage("read mesh", load_mesh, name, **given) for name in names]
+        if beside and not self.only_plan:
+            self.refuse_inputs(beside)
         mesh = found[0] if len(found) == 1 else self.stage("join meshes", join, found)
+        self.notes += filter(None, (conversion(one, mesh, found[0].name) for one in found))
         return self.stage("normalize", placed, mesh, normalize) if normalize else mesh
 
     @contextmanager
@@ -292,26 +309,17 @@ class Run:
     ) -> NoReturn:
         """Print the plan and the predicted memory of a job, and the stages after it; end the
         command."""
+        from voxtool.cli.plans import planned, rows_of
+
         self.progress.erase()
         job.settle()
-        stages = [*job.stages, *after]
-        if after:
-            facts = {**facts, "stages": stages}
+        found = planned(job, facts, after)
         if self.item:
-            self.item.facts |= {"plan": {**job.describe(), **facts}, "cost": vars(job.cost)}
+            self.item.facts |= {"plan": found, "cost": vars(job.cost)}
         elif self.as_json:
-            options.print_json({**job.describe(), **facts})
+            options.print_json(found)
         else:
-            cost = job.cost
-            needs = {"the device": cost.device, "the host": cost.host}
-            predicted = [f"{human(size)} on {where}" for where, size in needs.items() if size]
-            rows = [
-                *job.plan.rows(),
-                ("stages", ", ".join(stages)),
-                *(("left out", f"{what}: {why}") for what, why in job.left_out.items()),
-                ("predicted", ", ".join(predicted)),
-            ]
-            for name, text in rows:
+            for name, text in rows_of(job, after):
                 click.echo(f"{name:<10} {text}")
         try:
             job.refuse()
@@ -365,7 +373,7 @@ class Run:
             click.echo(text)
 
     def print_facts(self, facts: Mapping[str, Any]) -> None:
-        """Print facts that are the result of a command, beside a file or without one, as JSON."""
+        """Print facts that are the result of a command, as JSON."""
         result = {"output": self.output, **facts, "seconds": round(self.seconds, 3)}
         options.print_json(result, err=self.to_stdout)
 

@@ -23,7 +23,8 @@ from voxtool.choices import (
 from voxtool.cli import options, runner
 from voxtool.cli.in_windows import make_in_windows, refuse_stdout, windows_options
 from voxtool.cli.many import mesh_argument
-from voxtool.cli.options import DIM, bbox_option, flag, option, together
+from voxtool.cli.options import DIM, flag, option, together
+from voxtool.cli.placing import check_placing, lattice_options, placed
 from voxtool.errors import MemoryLimitError, OnePieceError
 from voxtool.files.formats import EXPORTS, MERGED_FORMATS, OCTREE_FORMATS
 
@@ -64,8 +65,7 @@ if TYPE_CHECKING:
         "voxels, such as a vessel, a wire or a wall, in one piece, by few voxels that touch it."),
     option("--dim", DIM, f"Voxels along the longest side.  [default: {DEFAULT_DIM}]"),
     option("--pitch", float, "Voxel size in world units, instead of --dim."),
-    bbox_option,
-    options.lattice_options,
+    lattice_options,
     option("--margin", click.IntRange(0),
         "Empty voxels on each side.  [default: min(4, dim // 8), 0 with --bbox]"),
     option("--fit", FITS,
@@ -106,7 +106,7 @@ if TYPE_CHECKING:
 def command(
     run: runner.Run, mesh: str, mode: str, fraction_type: str | None,
     face_fractions: bool, fill: str, gap: int, with_surface: bool, connected: bool,
-    like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
+    normalize: str | None, units: str | None, scale: float, windows: str,
     dag: bool, thin: bool, labels: str | None, priority: str | None, attributes: list[str] | None,
     colour: str | None, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
     workers: int | None = None, others: tuple[str, ...] = (), **placing: Any,
@@ -130,9 +130,10 @@ def command(
       voxtool voxelize open.obj --fill flood --gap 3
       voxtool voxelize bunny.obj open.obj --labels file -o both.svo.h5
       voxtool voxelize bunny.obj --like mask.npy -o bunny.npy
+      voxtool voxelize open.obj --lattice bunny.svo.h5 -o box.svo.h5
       voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
     """
-    options.check_placing(like, placing)
+    check_placing(placing)
     if (fraction_type or face_fractions) and mode != FRACTION:
         name = "--face-fractions" if face_fractions else "--fraction-type"
         raise click.UsageError(f"{name} goes with --mode {FRACTION}, not {mode}")
@@ -163,7 +164,8 @@ def command(
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.attribution.request import kept_for, plan_octree
 
-    run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
+    default = options.output_of(mesh, run.file_format or "svo.h5")
+    run.to(", ".join((mesh, *others)), default, (*SVO_FORMATS, *EXPORTS))
     if dask and run.file_format != "svo.h5":
         raise click.UsageError("--dask writes .svo.h5: name one with -o, and use voxtool export")
     if dask:
@@ -181,14 +183,14 @@ def command(
     with run, ExitStack() as stack:
         keep = kept_for(labels, attributes)
         loaded = run.meshes((mesh, *others), units, scale, normalize, keep)
-        grid = options.grid_from(loaded, like, placing)
+        loaded, grid, beyond, _ = placed(run, loaded, placing)
         request: dict[str, Any] = {"fill": fill, "gap": gap, "with_surface": with_surface}
         request["connected"] = connected
         request |= {"fraction_type": fraction_type, "face_fractions": face_fractions}
         request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
         request |= {"attributes": attributes, "colour": colour or COLOURS[0]}
         job: Any = run.plan(plan_octree, loaded, grid, mode, **request)
-        placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
+        place: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
         parts = None
         if dask:
             from voxtool.tiles import cluster
@@ -199,12 +201,12 @@ def command(
         elif windows != "never" and not thin and run.file_format == "svo.h5" and not fits(job, dag):
             parts = run.stage("plan windows", windows_of, job, dag)
         if parts and dag and run.to_stdout and not dask:
-            octree = run.job(parts, **placed)
+            octree = run.job(parts, **place)
             run.write(write_svo, octree)
         elif parts:
-            octree = make_in_windows(run, parts, resume, no_keep, **placed)
+            octree = make_in_windows(run, parts, resume, no_keep, **place)
         else:
-            octree = run.job(job, ("thin",) * thin + ("merge subtrees",) * dag, **placed)
+            octree = run.job(job, ("thin",) * thin + ("merge subtrees",) * dag, **place)
             if thin:
                 from voxtool.svo.thin import plan_thin
 
@@ -218,7 +220,8 @@ def command(
             else:
                 run.write(write_svo, octree, doctype=doctype)
     details = details_of(octree) if run.verbose else ()
-    run.report(report_line(octree, run.size), lambda: facts_of(octree), details)
+    line = report_line(octree, run.size)
+    run.report(line, lambda: {**facts_of(octree), "beyond": beyond}, details)
 
 
 def check_attributes(names: Sequence[str], others: dict[str, bool]) -> None:
@@ -272,6 +275,7 @@ def facts_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:
     return {
         "grid": {name: list(getattr(grid, name)) for name in ("shape", "origin", "pitch")},
         "dim": grid.dim,
+        "units": octree.units,
         "mode": octree.mode,
         "fill": octree.fill,
         "transform": list(octree.transform),

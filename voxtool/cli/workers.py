@@ -206,7 +206,7 @@ def serve(call: Callable[..., Any], values: Mapping[str, Any]) -> None:
     def work(task: dict[str, Any]) -> None:
         item = Item(device)
         context = click.Context(command, info_name=command.name)
-        context.params = dict(values)
+        context.params = {**values, "mesh": task["mesh"]}
         lines = context.meta[options.LINES] = []
         more = {"output": task["output"]} if task["output"] else {}
         try:

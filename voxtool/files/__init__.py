@@ -292,6 +292,7 @@ def export(
     shape: int | Sequence[int] | None = None,
     spacing: float | Sequence[float] | None = None,
     grid: Grid | PathLike | None = None,
+    lattice: Grid | PathLike | None = None,
     leaves: bool = False,
     attributes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
@@ -334,7 +335,9 @@ def export(
         Of a field: size of a cell of that grid in world units; by default that of the finest
         leaves, and at most 256 cells along a side. Of a level set one number, without that limit.
     grid : Grid or path, optional
-        Of a field: the grid itself, or that of a file which read_voxels reads.
+        Of a field: the grid itself, or that of an octree or a file which read_voxels reads.
+    lattice : Grid or path, optional
+        Of a field: a grid over the field's cube, with the voxels of this grid or file.
     leaves : bool
         Of .vtu, .msh and .inp: a hexahedron for each of the largest cubes of cells instead of each
         cell, with the nodes that hang.
@@ -370,7 +373,8 @@ def export(
         plan_export(
             held, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
             normals=normals, band=band, shape=shape, spacing=spacing, grid=grid,
-            leaves=leaves, attributes=attributes, max_bytes=max_bytes, device=device, **options,
+            lattice=lattice, leaves=leaves, attributes=attributes, max_bytes=max_bytes,
+            device=device, **options,
         ).run()  # fmt: skip
 
 

@@ -7,12 +7,28 @@ import binascii
 import os
 import re
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from urllib.parse import unquote_to_bytes
 
 from voxtool.errors import MeshError, one_line, printable
 
 DATA = re.compile(r"data:[^,]{0,200},")
 SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*:")  # http:, file: and C:
+
+
+_noted: ContextVar[list[str] | None] = ContextVar("noted", default=None)
+
+
+@contextmanager
+def noting() -> Iterator[list[str]]:
+    """Yield a list that takes the names of the files beside meshes that this block reads."""
+    token = _noted.set(names := [])
+    try:
+        yield names
+    finally:
+        _noted.reset(token)
 
 
 class Companions:
@@ -72,6 +88,8 @@ class Companions:
                 if not stat.S_ISREG(status.st_mode):
                     raise MeshError(f"{shown} is no file")
                 self._take(shown, status.st_size)
+                if (noted := _noted.get()) is not None:
+                    noted.append(whole)
                 return file.read(status.st_size)
         except FileNotFoundError:
             raise MeshError(

@@ -30,7 +30,7 @@ import numpy as np
 from voxtool.adf.field import DistanceField
 from voxtool.adf.narrow_band import LevelSet
 from voxtool.adf.samples import FieldSamples, grid_over
-from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human
+from voxtool.errors import FileError, GridError, MemoryLimitError, VoxtoolError, human
 from voxtool.files import atomic, streams
 from voxtool.files.attributes import chosen_attributes
 from voxtool.files.formats import (
@@ -43,7 +43,7 @@ from voxtool.files.formats import (
     format_of,
     function_of,
 )
-from voxtool.files.imports import read_grid
+from voxtool.files.lattices import unit_checked
 from voxtool.files.streams import PathLike
 from voxtool.files.vtkhdf_volume import VolumeCells
 from voxtool.grid import Grid
@@ -223,6 +223,7 @@ def plan_export(
     shape: Any = None,
     spacing: Any = None,
     grid: Grid | PathLike | None = None,
+    lattice: Grid | PathLike | None = None,
     attributes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
     max_memory: int | None = None,
@@ -267,13 +268,19 @@ def plan_export(
             "them out"
         )
     if isinstance(content, DistanceField):
-        if isinstance(grid, str | os.PathLike):
-            grid = read_grid(grid)
+        if lattice is not None:
+            if grid is not None:
+                raise GridError("a grid and a lattice: give one of them")
+            low = np.array(content.origin)
+            box = [*low, *(low + content.side)]
+            grid = Grid.fit(None, bbox=box, lattice=unit_checked(lattice, content))
+        elif grid is not None:
+            grid = unit_checked(grid, content)
         image = image_of(content, name, band, shape, spacing, grid)
         image = replace(image, device=device, progress=progress)
-    elif not (band is shape is spacing is grid is None):
+    elif not (band is shape is spacing is grid is lattice is None):
         raise VoxtoolError(
-            "a band, a spacing, a shape and a grid go with a distance field: this is none"
+            "a band, spacing, shape, grid and lattice go with a distance field: this is none"
         )
     elif isinstance(content, TetVolume):
         if not EXCHANGE[name].volumes:

@@ -442,13 +442,3 @@ def format_of_input(path: PathLike) -> str:
     raise FileError(
         f"{shown}: its name says no format that is read: give --from, one of {', '.join(IMPORTS)}"
     )
-
-
-def read_grid(path: PathLike) -> Grid:
-    """Return the grid of a file that holds voxels: an octree, or another program's."""
-    from voxtool.files import read_svo
-
-    if os.fspath(path).lower().endswith(tuple(f".{name}" for name in IMPORTS)):
-        with Source.of(path).stored() as stored:
-            return stored.frame.grid
-    return read_svo(path).grid

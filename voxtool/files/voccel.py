@@ -55,15 +55,15 @@ def nodes_of(words: np.ndarray, first: int) -> np.ndarray:
     return nodes
 
 
-def placed(octree: Octree, grid: Grid | None, mode: str | None) -> Octree:
-    """Return an octree of voCCeL's on another grid of the same dim, and as of another mode."""
+def placed(octree: Octree, grid: Grid, mode: str | None, units: str = "") -> Octree:
+    """Return an octree of voCCeL's on another grid of the same dim, as of another mode, and in the
+    unit of the grid."""
     mode = mode or octree.mode
-    grid = grid or octree.grid
     if grid.dim != octree.grid.dim:
         raise FileError(
             f"its dim is {octree.grid.dim}, that of the grid is {grid.dim}: name a grid of its dim"
         )
     fill = "parity" if "solid" in mode else "none"
-    found = replace(octree, grid=grid, mode=mode, fill=fill)
+    found = replace(octree, grid=grid, units=units, mode=mode, fill=fill)
     found.validate()
     return found

@@ -10,6 +10,7 @@ import numpy as np
 
 from voxtool.errors import MeshError
 from voxtool.mesh.appearance import FILE, Parts
+from voxtool.mesh.lengths import in_units
 from voxtool.mesh.mesh import Mesh, check_counts
 
 
@@ -18,18 +19,20 @@ def join(meshes: Sequence[Mesh]) -> Mesh:
 
     Its parts by "file" are named as the files without folder and ending, or "mesh N"; further parts
     are those that all meshes have, their names after that of the file. Its source is the SHA-256 of
-    the sources.
+    the sources, and its unit that of the first mesh: others are scaled to it.
 
     Raises
     ------
     MeshError
-        If there is no mesh, or units differ.
+        If there is no mesh, or the units of some are not known.
     """
     if not meshes:
         raise MeshError("there is no mesh to join: give one or more")
-    if len(units := dict.fromkeys(mesh.units for mesh in meshes)) > 1:
+    units = dict.fromkeys(mesh.units for mesh in meshes)
+    if len(units) > 1 and "" in units:
         names = " and ".join(unit or "no unit" for unit in units)
         raise MeshError(f"meshes in {names}: give all the same with --units and --scale")
+    meshes = [in_units(mesh, meshes[0].units) for mesh in meshes]
     name = f"{meshes[0].name or 'mesh'} and {len(meshes) - 1} more"
     check_counts(name, *(sum(map(len, of)) for of in _arrays(meshes)))
     counts = [len(mesh.vertices) for mesh in meshes]

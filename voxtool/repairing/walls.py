@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.errors import MeshWarning, VoxtoolError
+from voxtool.errors import MeshWarning, VoxtoolError, at_least
 from voxtool.memory import check_memory
 from voxtool.repairing.targets import Cylinder
 from voxtool.svo.booleans import combine
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 SLACK = math.sqrt(3) + 1e-6  # voxels: the diagonal of a cell, and rounding
 LEAST_WALL = 2.0  # voxels: of thinner walls the two sides share cells
+# Voxels outward, half the diagonal, and inward: of less, vertices move to the other side of the
+# surface, which is as far away.
+LEAST_OFFSET, LEAST_INSET = math.sqrt(3) / 2, 0.6
 LEAST_RADIUS = 1.5  # voxels, of a drain hole
 DEEPEST = 4  # times the wall: how deep the cavity may lie below the place of a drain
 AT_ONCE = 1 << 20  # voxels whose distance is measured
@@ -51,11 +54,14 @@ def check_walls(
         raise VoxtoolError("an offset, a shell and a thick surface exclude each other: choose one")
     if not all(map(math.isfinite, (offset, shell, thicken, *(x for d in drains for x in d)))):
         raise VoxtoolError("a length or a place is not finite: give numbers")
-    for name, wall in (("shell", shell), ("thicken", thicken)):
-        if wall and not wall >= LEAST_WALL * pitch:
+    for what, length, least in (
+        ("wall", shell or thicken, LEAST_WALL),
+        ("offset", offset, LEAST_OFFSET if offset > 0 else LEAST_INSET),
+    ):
+        if length and not abs(length) >= least * pitch:
             raise VoxtoolError(
-                f"{name} {wall:g} is {wall / pitch:.2g} voxels, of {LEAST_WALL:g} at least: choose "
-                f"a larger dim, or {LEAST_WALL * pitch:.4g} or more"
+                f"{what} {length:g} is {abs(length) / pitch:.2g} voxels of {pitch:.4g}, of "
+                f"{least:.3g} at least: give {at_least(least * pitch)} or more, or a larger dim"
             )
     if drains and not shell:
         raise VoxtoolError("drains go with a shell: there is no cavity")
@@ -63,7 +69,7 @@ def check_walls(
         if len(drain) != 4 or not drain[3] >= LEAST_RADIUS * pitch:
             raise VoxtoolError(
                 f"drain {', '.join(f'{x:g}' for x in drain)}: give x, y, z and a radius of "
-                f"{LEAST_RADIUS * pitch:.4g} or more, {LEAST_RADIUS:g} voxels"
+                f"{at_least(LEAST_RADIUS * pitch)} or more, {LEAST_RADIUS:g} voxels"
             )
 
 
@@ -108,6 +114,8 @@ def cavities(
 
 def morphed(octree: Octree, operation: str, voxels: float, device: Device) -> Octree:
     """Return an octree dilated or eroded by a ball, empty if no voxel is left."""
+    if voxels < 1:  # no other centre is as near
+        return octree
     with warnings.catch_warnings(action="ignore", category=MeshWarning):
         return plan_morph(octree, operation, voxels, device=device).run()
 

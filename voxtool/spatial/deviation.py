@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.errors import VoxtoolError
+from voxtool.mesh.lengths import in_units
 from voxtool.opencl import default_device
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.hausdorff import bound, tolerance_of
@@ -41,6 +42,7 @@ def deviation(
         raise VoxtoolError(f"samples {samples}: give a whole number from 1 on")
     if pitch is not None and not 0 < pitch < math.inf:
         raise VoxtoolError(f"pitch {pitch:g}: give a length greater than 0")
+    reference = in_units(reference, surface.units)
     samplers = [
         SurfaceSampler(mesh, name)
         for mesh, name in ((surface, "surface"), (reference, "reference"))

@@ -33,6 +33,7 @@ import numpy as np
 from voxtool.arrays import Data
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.memory import check_memory
+from voxtool.mesh.lengths import in_units
 from voxtool.opencl import default_device
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.spatial.distance import (
@@ -125,6 +126,7 @@ def hausdorff(
     max_memory: int | None = None,
 ) -> Hausdorff:
     """Return bounds of the Hausdorff distance; see voxtool.hausdorff."""
+    b = in_units(b, a.units)
     tolerance = tolerance_of(a, b, tolerance)
     ways = (
         directed_hausdorff(*pair, tolerance, device=device, max_memory=max_memory)
@@ -142,6 +144,7 @@ def directed_hausdorff(
     max_memory: int | None = None,
 ) -> DirectedHausdorff:
     """Return bounds of the directed distance; see voxtool.directed_hausdorff."""
+    other = in_units(other, mesh.units)
     tolerance = tolerance_of(mesh, other, tolerance)
     chosen = mesh.faces if faces is None else mesh.faces[_checked(faces, len(mesh.faces))]
     block = min(POINTS_AT_ONCE, len(chosen))

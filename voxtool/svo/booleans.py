@@ -42,6 +42,7 @@ from voxtool.svo.layout import (
 from voxtool.svo.links import EMPTY, FULL, REFINED, states_of
 from voxtool.svo.octree import Octree
 from voxtool.svo.placing import common_grid, place
+from voxtool.units import difference
 
 SOURCE = "svo/booleans.cl"
 HEADERS = {"svo/booleans.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, REFINED=REFINED)}
@@ -163,9 +164,11 @@ def plan_combine(
         )
     if not octrees:
         raise VoxtoolError("there is no octree to combine: give one or more")
-    units = {octree.units for octree in octrees} - {""}
-    if len(units) > 1:
-        raise GridError(f"octrees in {' and '.join(sorted(units))}: voxelize with the same --units")
+    known = [(number, octree.units) for number, octree in enumerate(octrees, 1) if octree.units]
+    for number, units in known[1:]:
+        hint = "voxelize one again with --lattice, naming the other"
+        if message := difference(known[0][1], units, hint):
+            raise GridError(f"octrees {known[0][0]} and {number} are {message}")
     grid, lows = common_grid([octree.grid for octree in octrees])
     sizes = [np.diff(octree.offsets.astype(np.int64))[:0:-1] // 8 for octree in octrees]
     plan = plan_of(sizes, lows, grid, operation)

@@ -97,8 +97,8 @@ def place_mesh(
 
 
 def fixed_of(mesh: Mesh, grid: Grid, bits: int = FIXED_POINT_BITS) -> np.ndarray:
-    """Return the vertices of a mesh on the lattice of a grid, of 2**-bits voxel, (V, 3) int32; raise
-    GridError if one lies too far from the grid's corner."""
+    """Return the vertices of a mesh on the lattice of a grid, of 2**-bits voxel, (V, 3) int32;
+    raise GridError if one lies too far from the grid's corner."""
     try:
         return grid.to_fixed(mesh.vertices, bits)
     except GridError:  # vertices that no face uses may lie anywhere

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.choices import ELEMENTS, MORPHOLOGY
-from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.errors import MemoryLimitError, VoxtoolError, at_least
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.morton import among, spread_bits
@@ -275,8 +275,17 @@ def plan_morph(
 
 
 def element_of(octree: OctreeContent, radius: float, world: bool, shape: str) -> Element:
-    """Return the structuring element of a request."""
-    return Element.of(shape, float(radius), octree.grid.pitch if world else (1.0, 1.0, 1.0))
+    """Return the structuring element of a request; VoxtoolError if it reaches no other voxel."""
+    pitch = octree.grid.pitch
+    element = Element.of(shape, float(radius), pitch if world else (1.0, 1.0, 1.0))
+    if not any(element.reach):
+        sizes = " x ".join(dict.fromkeys(f"{size:.4g}" for size in pitch))
+        least = f"{at_least(min(pitch))} or more" if world else "1 or more, in voxels"
+        raise VoxtoolError(
+            f"radius {radius:g} is less than one voxel, of {sizes}{octree.units and ' '}"
+            f"{octree.units}: give {least}, or voxelize with a larger dim"
+        )
+    return element
 
 
 def plan_of(

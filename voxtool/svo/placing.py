@@ -22,6 +22,9 @@ from voxtool.svo.octree import Octree
 EMPTY, FULL = -1, -2  # in place of a node: a uniform block of voxels
 OCTANTS = morton_decode(np.arange(8))  # (8, 3): the place of each child
 ROUNDINGS = 4.0  # of float64, by which the origins of one lattice may differ
+SAME = (
+    2.0**-32
+)  # voxel, by which they may, too: near 0, of grids on the lattice of one farther away
 
 
 @dataclass(frozen=True)
@@ -51,18 +54,19 @@ def common_grid(grids: Sequence[Grid]) -> tuple[Grid, np.ndarray]:
     steps = np.rint((origins - origins[0]) / pitch)
     # each origin is a sum of a product, both rounded
     largest = np.maximum(np.abs(origins), np.abs(origins[0])) + np.abs(steps * pitch)
-    apart = np.abs(origins - (origins[0] + steps * pitch)) > ROUNDINGS * np.spacing(largest)
+    most = ROUNDINGS * np.spacing(largest) + SAME * pitch
+    apart = np.abs(origins - (origins[0] + steps * pitch)) > most
     for number, (grid, wrong) in enumerate(zip(grids, apart, strict=True), 1):
         if grid.pitch != first.pitch:
             raise GridError(
                 f"octrees 1 and {number} have voxels of {_triple(first.pitch)} and "
-                f"{_triple(grid.pitch)}: voxelize one --like the other"
+                f"{_triple(grid.pitch)}: voxelize one again with --lattice, naming the other"
             )
         if wrong.any():
             raise GridError(
                 f"octrees 1 and {number} have origins {_triple(first.origin)} and "
                 f"{_triple(grid.origin)}, which are not whole numbers of voxels apart: voxelize "
-                "one --like the other"
+                "one again with --lattice, naming the other"
             )
     lows = steps.astype(np.int64)
     lows -= lows.min(axis=0)

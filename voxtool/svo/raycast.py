@@ -37,6 +37,7 @@ from voxtool.svo.layout import BRICK_SIDE, INSIDE
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
 from voxtool.svo.painting import check_painting, colours_of_cells, painted, with_labels
+from voxtool.units import difference
 from voxtool.vector import dot
 
 if TYPE_CHECKING:
@@ -85,6 +86,9 @@ class OctreeScene:
         check_isovalue(self.isovalue)
         if self.isovalue is not None and self.level == "voxel":
             raise VoxtoolError("an isovalue is a share of a node: choose a level, too")
+        units = "" if self.other is None else self.other.units
+        if message := difference(self.content.units, units, "voxelize one again --like the other"):
+            raise GridError(f"the octrees are {message}")
         if self.other is not None and self.other.grid != self.content.grid:
             raise GridError(
                 "octrees of different grids have no difference: voxelize both on one grid, with "

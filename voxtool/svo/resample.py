@@ -27,6 +27,7 @@ from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device, default_device, program
 from voxtool.svo.attribution.carry import lost
+from voxtool.svo.beyond import share_beyond
 from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, descend, voxels_within
 from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.octree import Octree
@@ -178,6 +179,7 @@ class ResamplePlan:
     exact: bool  # whether no plane between voxels had to be rounded
     nodes: tuple[int, ...]  # refined ones, by level from the root down to level 1
     given: int  # bytes of the octree
+    beyond: float = 0.0  # the share of the set voxels, by volume, that lies beyond the grid
     stages: tuple[str, ...] = ("coverage", "build")
 
     @property
@@ -209,6 +211,7 @@ class ResamplePlan:
             **{name: list(getattr(self.grid, name)) for name in ("shape", "origin", "pitch")},
             "threshold": self.threshold,
             "exact": self.exact,
+            "beyond": self.beyond,
             "nodes": list(self.nodes),
             "stages": list(self.stages),
             "left_out": self.left_out,
@@ -239,25 +242,29 @@ def _refuse(cost: Cost, max_memory: int, max_allocation: int) -> None:
 
 
 def grid_for(
-    grid: Grid, dim: int | None, pitch: float | None, bbox: Sequence[float] | None
+    grid: Grid,
+    dim: int | None,
+    pitch: float | None,
+    bbox: Sequence[float] | None,
+    lattice: Grid | None = None,
 ) -> Grid:
     """Return the grid over a box, by default that of another grid, of `dim` voxels along its
-    longest side or of a pitch, by default that of the other grid.
+    longest side or of a pitch, by default that of the other grid, or on a lattice.
 
     Raises
     ------
     GridError
         If nothing is given, or dim and pitch are; or if the grid is out of range.
     """
-    if dim is pitch is bbox is None:
-        raise GridError("to what? Give a dim, a pitch, a box or another grid")
-    if dim is pitch is None:
+    if dim is pitch is bbox is lattice is None:
+        raise GridError("to what? Give a dim, a pitch, a box, a lattice or another grid")
+    if dim is pitch is lattice is None:
         if len(set(grid.pitch)) > 1:
             raise GridError("voxels that are no cubes have no one pitch to keep: give a pitch, too")
         pitch = grid.pitch[0]
     ends = [(0, 0, 0), grid.shape]
     box = grid.to_world(np.array(ends)).ravel().tolist() if bbox is None else bbox
-    found = Grid.fit(None, dim, pitch=pitch, bbox=box)
+    found = Grid.fit(None, dim, pitch=pitch, bbox=box, lattice=lattice)
     if dim is None or bbox is not None:
         return found
     # the ratio of whole numbers, rounded once: a pitch that stays the same is the same number
@@ -270,6 +277,7 @@ def plan_resample(
     octree: Octree,
     grid: Grid | None = None,
     *,
+    lattice: Grid | None = None,
     dim: int | None = None,
     pitch: float | None = None,
     bbox: Sequence[float] | None = None,
@@ -280,10 +288,11 @@ def plan_resample(
     """Return the planned job of `resample`; see `voxtool.resample`."""
     if not 0 < threshold <= 1:
         raise VoxtoolError(f"threshold {threshold:g} is no share: choose one above 0, up to 1")
+    given = grid or bbox
     if grid is None:
-        grid = grid_for(octree.grid, dim, pitch, bbox)
-    elif not (dim is pitch is bbox is None):
-        raise GridError("a grid has its own dim, pitch and box: leave them out")
+        grid = grid_for(octree.grid, dim, pitch, bbox, lattice)
+    elif not (dim is pitch is bbox is lattice is None):
+        raise GridError("a grid has its own dim, pitch, box and lattice: leave them out")
     device = device or default_device()
     placing = Placing.of(octree.grid, grid, Fraction(repr(float(threshold))))
     most = device.max_memory if max_memory is None else max_memory
@@ -297,7 +306,8 @@ def plan_resample(
         codes = codes[states == REFINED]
         nodes.append(len(codes))
         codes, width = descend(codes), width // 2
-    plan = ResamplePlan(grid, float(threshold), placing.exact, tuple(nodes), octree.nbytes)
+    beyond = share_beyond(octree, grid) if given else 0.0
+    plan = ResamplePlan(grid, float(threshold), placing.exact, tuple(nodes), octree.nbytes, beyond)
     return ResampleJob(octree, source, codes, full[::-1], plan, device, max_memory)
 
 
@@ -343,6 +353,11 @@ class ResampleJob(Job[Octree]):
             yield (
                 f"no voxel is set: none has a share of {self.plan.threshold:g} that is: choose a "
                 "smaller pitch or threshold, or a grid that holds the voxels"
+            )
+        elif self.plan.beyond:
+            yield (
+                f"{100 * self.plan.beyond:.3g} % of the set voxels lie beyond the grid: choose a "
+                "larger one, or take its lattice (--lattice)"
             )
 
     def notes(self, result: Octree) -> Iterator[str]:

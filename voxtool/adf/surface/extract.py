@@ -24,6 +24,7 @@ from voxtool.adf.surface.placing import place_crossings, place_loops
 from voxtool.adf.surface.sharp import Features, apart, nearest_planes, place_features
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Job, one_call
+from voxtool.mesh.lengths import in_units
 from voxtool.mesh.mesh import Mesh, check_source
 from voxtool.morton import distinct
 from voxtool.opencl import Device, default_device
@@ -120,6 +121,7 @@ def plan_field_surface(
     and corners are kept."""
     if source is not None:
         check_source(source, field.source_sha256, "field")
+        source = in_units(source, field.units)
     offset = checked_offset(field, float(offset))
     distances = [offset]
     if shell is not None:

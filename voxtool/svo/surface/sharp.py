@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.grid import Grid
+from voxtool.mesh.lengths import in_units
 from voxtool.mesh.mesh import Mesh, check_source
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Array, Device, program
@@ -68,9 +69,10 @@ class Vertices:
 
 
 def source_of(octree: OctreeContent, mesh: Mesh) -> Mesh:
-    """Return the mesh in the place where the octree was made from it; raise MeshError if the
-    octree was not made from it."""
+    """Return the mesh in the place where the octree was made from it, and in its unit; raise
+    MeshError if the octree was not made from it."""
     check_source(mesh, octree.source_sha256, "octree")
+    mesh = in_units(mesh, octree.units)
     if not octree.transform or mesh.transform:
         return mesh
     scale, *offset = octree.transform
