@@ -80,14 +80,23 @@ def remove_files() -> None:
 
 
 def _remove(paths: set[str]) -> None:
-    for path in paths:
-        if os.path.isdir(path):
+    for path in sorted(paths, key=_is_owner):
+        if _is_owner(path):
+            from voxtool.claims import release
+
+            release(path)
+        elif os.path.isdir(path):
             import shutil
 
             shutil.rmtree(path, ignore_errors=True)
         else:
             with suppress(OSError):
                 os.unlink(path)
+
+
+def _is_owner(path: str) -> bool:
+    """Return whether a file names the run that owns an output (claims.py)."""
+    return path.endswith(".owner")
 
 
 def _tell(kind: int, text: str = "") -> None:

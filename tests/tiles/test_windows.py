@@ -152,10 +152,11 @@ def test_a_killed_run_goes_on(dying: list[int], here: Path) -> None:
     with pytest.raises(Killed):
         run(command)
     assert not Path("parts.svo.h5").exists()
-    made = [path for path in folder.iterdir() if path.name != "windows.jsonl"]
+    (own,) = (path for path in folder.iterdir() if path.name != ".owner")
+    made = [path for path in own.iterdir() if path.name != "windows.jsonl"]
     assert len(made) == 6  # states and bricks
     made[1].write_bytes(made[1].read_bytes()[:-1])  # cut off
-    with open(folder / "windows.jsonl", "a") as journal:
+    with open(own / "windows.jsonl", "a") as journal:
         journal.write('{"window": [0, 0')
     other = command.replace("400", "401")
     dying[0] = 100
@@ -205,7 +206,7 @@ def test_a_disk_without_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_what_another_process_wrote_counts_if_it_is_whole(tmp_path: Path) -> None:
     masks, values = np.array([5, 1], np.uint64), np.zeros((3, 3), "f4")
     normal = Attribute("normal", values, values[:0], masks, (0, 0, 0))
-    window = Window.of([np.zeros(1, np.uint8)], masks, 3, [normal])
+    window = Window([np.zeros(1, np.uint8)], masks, 3, [normal])
     with Windows(str(tmp_path / "a"), {}) as store:
         line = write_beside(store.place, (0, 0, 0, 8), window)
         assert line
