@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import sys
+import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -200,18 +201,29 @@ def _exchanged(one: Path, other: Path) -> bool:
 
 
 @contextmanager
-def alone(output: str | os.PathLike[str]) -> Iterator[Claim]:
-    """Own an output of several files, while the block runs.
+def alone(output: str | os.PathLike[str], patience: float = 0) -> Iterator[Claim]:
+    """Own an output of several files while the block runs, by a hidden file beside it.
+
+    Parameters
+    ----------
+    patience : seconds to wait for another run that makes it.
 
     Raises
     ------
     FileError : another run makes it, or the folder cannot be written.
     """
     above, name = os.path.split(os.path.realpath(output))
-    try:
-        claim = Claim(Path(above, f".{name}{OWNER}"), output)
-    except OSError as error:
-        raise write_error(output, error) from error
+    end = time.monotonic() + patience
+    while True:
+        try:
+            claim = Claim(Path(above, f".{name}{OWNER}"), output)
+            break
+        except FileError:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(0.05)
+        except OSError as error:
+            raise write_error(output, error) from error
     watch.writing(claim.file)
     try:
         yield claim
