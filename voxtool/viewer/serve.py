@@ -44,7 +44,6 @@ class PageServer(ThreadingHTTPServer):
         data = {f"{self.start}data/{name}": block for name, block in page.blocks.items()}
         self.contents = {self.start: page.html.encode(), **data}
 
-
     def get_request(self) -> tuple[socket, Any]:
         """Return the next connection."""
         try:
