@@ -199,9 +199,9 @@ def _runs(owner: dict[str, Any]) -> bool:
     try:
         if os.name != "nt":  # os.kill would end the process there
             os.kill(process, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError, TypeError):
         return False
-    except (OSError, OverflowError, TypeError):  # another user's, or no number
+    except OSError:  # it is another user's
         pass
     return owner.get("started") == _start_of(process)
 

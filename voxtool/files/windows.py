@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
@@ -158,9 +157,8 @@ class Store:
             return
         channels = 0 if part == "masks" else KINDS[name].channels
         dtype = BRICK if part == "masks" else np.dtype(about["dtype"])
-        row = (channels,) if channels else ()
-        for block in self._streamed(key, f"{name}.{part}", dtype, VALUES * math.prod(row)):
-            yield block.reshape(-1, *row)
+        row = np.dtype((dtype, (channels,))) if channels else dtype
+        yield from self._streamed(key, f"{name}.{part}", row, VALUES)
 
     def drop(self, key: Key, name: str, part: str) -> None:
         """Remove an array of an attribute of a window from the disk."""
@@ -185,11 +183,11 @@ class Store:
         sha, left = hashlib.sha256(), size
         try:
             with open(path, "rb") as file:
-                while left > 0 and len(block := np.fromfile(file, dtype, most)):
+                same = os.fstat(file.fileno()).st_size == size
+                while same and left > 0 and len(block := np.fromfile(file, dtype, most)):
                     sha.update(block.data)
                     left -= block.nbytes
                     yield block
-                left -= len(file.read(1))
         except OSError as error:
             raise self._error(error) from error
         if left or sha.hexdigest() != sha256:
