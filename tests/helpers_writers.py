@@ -87,7 +87,7 @@ WRITERS = [
     Writer("page", "view {m}/bunny.svo.h5 --no-open", ("", "--level 0"), "o.html"),
     Writer("combine", "combine {m}/bunny.svo.h5 {m}/box.svo.h5", ("", "--op xor"), "o.svo.h5"),
     Writer("morph", "morph {m}/bunny.svo.h5", ("--dilate 2", "--erode 1"), "o.svo.h5"),
-    Writer("hollow", "hollow {m}/bunny.obj --wall 0.1", ("--dim 40", "--dim 44"), "o.stl"),
+    Writer("hollow", "hollow {m}/bunny.obj --wall 0.1", ("--dim 60", "--dim 64"), "o.stl"),
     Writer("dag", "svo-dag {m}/bunny.svo.h5", ("", "--expand"), "o.svo.h5"),
     Writer("repair", "repair {m}/open.obj", ("--dim 24", "--dim 28"), "o.ply"),
     Writer("import", "import {m}/mask.npy", ("", "--spacing 1,1,2"), "o.svo.h5"),
