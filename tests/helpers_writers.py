@@ -79,8 +79,8 @@ WRITERS = [
         ("", "--style voxel-faces"), "o.ply"),
     Writer("field on disk", "adf-build {m}/bunny.obj --max-level 6 --max-memory 12M",
         ("--tolerance 1e-3", "--tolerance 2e-3"), "o.adf.h5"),
-    Writer("zarr", "export {m}/big.svo.h5", ("", "--level 1"), "o.ome.zarr"),
-    Writer("slices", "export {m}/big.svo.h5", ("", "--level 1"), "o/%04d.png"),
+    Writer("zarr", "export {m}/bunny.svo.h5", ("", "--level 1"), "o.ome.zarr"),
+    Writer("slices", "export {m}/bunny.svo.h5", ("", "--level 1"), "o/%04d.png"),
     Writer("npy", "export {m}/bunny.svo.h5", ("", "--invert"), "o.npy"),
     Writer("picture", "render {m}/bunny.svo.h5 --size 64", ("", "--view front"), "o.png"),
     Writer("loop", "render {m}/bunny.svo.h5 --turntable 5 --size 48", ("", "--up z"), "o.gif"),
@@ -124,7 +124,7 @@ def _content(path: Path) -> bytes:
 
 
 class Outputs:
-    """What each request of a writer gives alone; it is made once."""
+    """The digests of what each request of a writer makes alone, computed once."""
 
     def __init__(self, models: Path, folder: Path) -> None:
         self.models, self._folder = models, folder

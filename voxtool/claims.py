@@ -80,8 +80,8 @@ class Claim:
 
     @property
     def holds(self) -> bool:
-        """Whether the output is still owned: where locks are not known, a run that was stopped
-        may have lost it."""
+        """True while the output is owned: where locks are not known, a run that was stopped may
+        have lost it."""
         return _record(self.file).get("token") == self._token
 
     def release(self, *, keep: bool = False) -> None:
@@ -157,7 +157,7 @@ class Claim:
 
 def release(file: str) -> None:
     """Give an output back that this process, or one that has died, owned; and remove the folder
-    that is owned as a whole, by a file called OWNER, if nothing else is there."""
+    that a file called OWNER stands for, if nothing else is there."""
     with suppress(OSError, FileError):
         if os.path.exists(file):
             (_held.get(file) or Claim(Path(file), file)).release()

@@ -23,7 +23,7 @@ def outputs(models: Path, tmp_path_factory: pytest.TempPathFactory) -> Outputs:
 
 
 def test_beside_a_stopped_run_every_other_is_refused(outputs: Outputs, tmp_path: Path) -> None:
-    """And the first goes on to its own octree."""
+    """The first then goes on to its own octree."""
     writer, models = BY_NAME["windows"], outputs.models
     first = start(writer, 0, models, tmp_path)
     until(lambda: any(tmp_path.glob("*.windows/*/*.0")))
@@ -39,7 +39,7 @@ def test_beside_a_stopped_run_every_other_is_refused(outputs: Outputs, tmp_path:
     assert made(tmp_path) == outputs.of(writer, 0)
 
 
-@pytest.mark.parametrize("name", ["many", "slices"])
+@pytest.mark.parametrize("name", ["frames", "slices"])
 def test_two_runs_on_one_folder(name: str, outputs: Outputs, tmp_path: Path) -> None:
     check_pair(BY_NAME[name], random.Random(1), outputs, tmp_path)
 

@@ -277,7 +277,7 @@ def test_a_run_owns_its_folder(tmp_path: Path) -> None:
 
 
 def test_a_run_that_lost_its_folder_ends_in_one_line(tmp_path: Path, monkeypatch) -> None:
-    """As where locks are not known, and it was stopped for long."""
+    """Locks are not known there, and the run was stopped for long."""
     target = str(tmp_path / "a")
     lost = Windows(target, {"n": 1})
     lost.put(KEYS[0], window_of(0))
