@@ -209,7 +209,8 @@ def check_kill(writer: Writer, rng: random.Random, outputs: Outputs, folder: Pat
             send(child.pid, number)
         _, said = child.communicate(timeout=60)
         codes.append(child.returncode)
-        assert "Traceback" not in said, said
+        early = "/voxtool/" not in said  # the signal came before the first line of the program
+        assert "Traceback" not in said or early, said
         seen = {
             name: sha
             for name, sha in made(folder).items()
