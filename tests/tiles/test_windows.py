@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
+import time
 from collections import namedtuple
 from pathlib import Path
 
@@ -188,9 +190,13 @@ def test_a_folder_that_is_something_else(tmp_path: Path) -> None:
     folder = tmp_path / "x.svo.h5.windows"
     folder.mkdir()
     (folder / "mine").write_text("")
-    with pytest.raises(FileError, match="is in the way: rename it"):
-        Windows(str(tmp_path / "x.svo.h5"), {})
+    (tmp_path / "y.windows").write_text("")
+    for name in ("x.svo.h5", "y"):
+        with pytest.raises(FileError, match="is in the way: rename it"):
+            Windows(str(tmp_path / name), {})
     assert (folder / "mine").exists()
+    with pytest.raises(FileError, match="cannot write"):
+        Windows(str(tmp_path / "none" / "x"), {})
 
 
 def test_a_disk_without_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,6 +279,33 @@ def test_a_run_owns_its_folder(tmp_path: Path) -> None:
         with Windows(str(tmp_path / "b"), {"n": 1}):
             pass
         assert len(content(store, KEYS[0])) > 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_runs_that_come_and_go_are_refused_or_own_the_folder(tmp_path: Path) -> None:
+    said, errors, owned = set[str](), list[BaseException](), [0]
+
+    def come_and_go(number: int) -> None:
+        end = time.monotonic() + 1
+        while time.monotonic() < end:
+            try:
+                with Windows(str(tmp_path / "a"), {"n": number}) as store:
+                    store.put(KEYS[0], window_of(number))
+                    assert len(content(store, KEYS[0])) > 2
+                    owned[0] += 1
+            except FileError as error:
+                said.add(str(error).partition(" (process")[0])
+            except BaseException as error:
+                errors.append(error)
+
+    threads = [threading.Thread(target=come_and_go, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert errors == []
+    assert {text.split(" is making")[0] for text in said} <= {"another run"}
+    assert owned[0]
     assert not list(tmp_path.iterdir())
 
 

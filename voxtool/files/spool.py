@@ -58,7 +58,7 @@ class Spool:
         except OSError as error:
             raise write_error(self._target, error) from error
         if read != array.nbytes:
-            raise FileError(f"{self._target}: the disk lost what waited there: run the command again")
+            raise FileError(f"{self._target}: the disk lost what waited there: run it again")
         return array
 
     def mapped(self, dtype: type, shape: tuple[int, ...]) -> np.ndarray:

@@ -319,15 +319,18 @@ def write_beside(place: tuple[str, str], key: Key, window: Window) -> dict[str, 
 def _claimed(folder: Path, target: str) -> Claim:
     """Make the folder of windows of a file, and own it."""
     try:
-        names = set(os.listdir(folder)) if os.path.lexists(folder) else set()
+        names = set[str]()
+        with suppress(FileNotFoundError):
+            names.update(os.listdir(folder))
         own = {OWNER, JOURNAL} & names or any((folder / name / JOURNAL).exists() for name in names)
         if names and not own:
             raise FileError(f"{folder} is in the way: rename it")
         while True:
-            folder.mkdir(exist_ok=True)
+            with suppress(FileExistsError):
+                folder.mkdir()
             with suppress(FileNotFoundError):  # another run has just removed it
                 return Claim(folder / OWNER, target)
-    except (FileExistsError, NotADirectoryError):
+    except NotADirectoryError:
         raise FileError(f"{folder} is in the way: rename it") from None
     except OSError as error:
         raise write_error(folder, error) from error
