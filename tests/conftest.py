@@ -31,7 +31,7 @@ MODELS = Path(__file__).parents[2] / "shared" / "models"
 ABSENT = "no model"  # of a reason to skip, before the name
 NO_DEVICE = "no usable OpenCL device: install the extra 'cpu' or a driver"
 LONG = 600  # seconds of a soak run that has the tests marked long
-SOAKED = 8  # tests that share the time of a soak run
+SOAKED = 9  # tests that share the time of a soak run
 
 settings.register_profile(
     "voxtool",
