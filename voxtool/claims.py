@@ -26,6 +26,7 @@ from voxtool.errors import FileError
 OWNER = ".owner"  # the end of the name of each such file
 BEAT = 4.0  # seconds between signs of life
 PATIENCE = 2.5  # beats without one after which the owner on another machine is dead
+GONE = {errno.ENOENT, errno.ESTALE}  # the run before has just ended
 TAKEN = {errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES}
 PLACE = 1 << 30  # of the byte that is locked on Windows, where locked bytes cannot be read
 
@@ -57,12 +58,12 @@ class Claim:
                 known = self._lock()
                 if os.path.samestat(os.fstat(self._handle), os.stat(self.file)):
                     break
-            except FileNotFoundError:  # the run before has just ended
-                pass
-            except BaseException:
+            except BaseException as error:
                 os.close(self._handle)
-                raise
-            os.close(self._handle)
+                if not isinstance(error, OSError) or error.errno not in GONE:
+                    raise
+            else:
+                os.close(self._handle)
         try:
             self._take(known)
         except BaseException:
