@@ -7,10 +7,12 @@ import functools
 import importlib.util
 import json
 import os
+import random
 import re
 import shlex
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -29,6 +31,7 @@ MODELS = Path(__file__).parents[2] / "shared" / "models"
 ABSENT = "no model"  # of a reason to skip, before the name
 NO_DEVICE = "no usable OpenCL device: install the extra 'cpu' or a driver"
 LONG = 600  # seconds of a soak run that has the tests marked long
+SOAKED = 9  # tests that share the time of a soak run
 
 settings.register_profile(
     "voxtool",
@@ -211,6 +214,31 @@ def shell(tmp_path_factory) -> dict[str, str]:
     script.write_text(f'#!/bin/sh\nexec {shlex.join(MODULE)} "$@"\n')
     script.chmod(0o755)
     return {**ENVIRONMENT, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+
+
+@pytest.fixture(scope="session")
+def seed(request: pytest.FixtureRequest) -> int:
+    """The seed of a soak run."""
+    given = request.config.getoption("seed")
+    chosen = random.SystemRandom().randrange(1 << 32) if given is None else given
+    print(f"soak: --seed {chosen}")
+    return chosen
+
+
+@pytest.fixture
+def rounds(request: pytest.FixtureRequest, seed: int) -> Iterator[Iterator[random.Random]]:
+    """One random generator a round, for as long as the test's share of the time lasts."""
+    end = time.monotonic() + float(request.config.getoption("soak") or 0) / SOAKED
+    count = 0
+
+    def until_then() -> Iterator[random.Random]:
+        nonlocal count
+        while count == 0 or time.monotonic() < end:
+            yield random.Random(f"{request.node.name} {seed} {count}")
+            count += 1
+
+    yield until_then()
+    print(f"soak: {request.node.name}: {count:,} rounds")
 
 
 @pytest.fixture(scope="session")

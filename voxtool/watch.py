@@ -12,7 +12,10 @@ import os
 import signal
 import threading
 from contextlib import suppress
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # end the program, not the watcher
 FILE, WRITTEN, DEVICE, END = b"fwde"  # the first byte of a message; a zero byte ends it
@@ -65,9 +68,9 @@ def written(path: str | os.PathLike[str]) -> None:
     _tell(WRITTEN, os.path.abspath(path))
 
 
-def using(device: str) -> None:
-    """Say which device computes."""
-    _tell(DEVICE, device)
+def using(device: str, others: Sequence[str] = ()) -> None:
+    """Say which device computes, and which others --device could name."""
+    _tell(DEVICE, "\n".join((device, *others)))
 
 
 def remove_files() -> None:
@@ -80,14 +83,23 @@ def remove_files() -> None:
 
 
 def _remove(paths: set[str]) -> None:
-    for path in paths:
-        if os.path.isdir(path):
+    for path in sorted(paths, key=_is_owner):
+        if _is_owner(path):
+            from voxtool.claims import release
+
+            release(path)
+        elif os.path.isdir(path):
             import shutil
 
             shutil.rmtree(path, ignore_errors=True)
         else:
             with suppress(OSError):
                 os.unlink(path)
+
+
+def _is_owner(path: str) -> bool:
+    """Return whether a file names the run that owns an output (claims.py)."""
+    return path.endswith(".owner")
 
 
 def _tell(kind: int, text: str = "") -> None:
@@ -116,21 +128,22 @@ def _wait(pipe: int) -> NoReturn:
 
 
 def _clear_up(received: bytes) -> None:
-    device = "the device"
+    device, others = "the device", []
     files = set()
     for message in received.split(b"\0")[:-1]:
         kind, text = message[0], os.fsdecode(message[1:])
         if kind == END:
             return
         if kind == DEVICE:
-            device = text
+            device, *others = text.split("\n")
         elif kind == FILE:
             files.add(text)
         else:
             files.discard(text)
     _remove(files)
+    hint = f": {'; '.join(others)}" if others else " (voxtool devices lists them)"
     line = (
         f"voxtool: error: the command ended without a result: it was killed, or the driver of"
-        f" {device} crashed: free some memory, or choose another device with --device\n"
+        f" {device} crashed: free some memory, or choose another device with --device{hint}\n"
     )
     os.write(2, line.encode(errors="backslashreplace"))

@@ -14,6 +14,7 @@ import pytest
 import trimesh
 from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, run, told
 
+from voxtool.errors import FileError
 from voxtool.files import read_svo
 from voxtool.files.manifest import Manifest
 from voxtool.files.mesh import load_mesh
@@ -176,18 +177,44 @@ def test_a_crash_costs_one_mesh(balls) -> None:
 
 
 def test_a_manifest_that_was_cut_off(tmp_path: Path) -> None:
-    manifest = Manifest(str(tmp_path), None)
-    manifest.add({"output": "one", "n": 1})
-    manifest.add({"output": "two", "n": 2})
+    with Manifest(str(tmp_path), None) as manifest:
+        manifest.add({"output": "one", "n": 1})
+        manifest.add({"output": "two", "n": 2})
     path = tmp_path / "manifest.jsonl"
     path.write_text(path.read_text()[:-6])  # killed in the middle of a line
-    again = Manifest(str(tmp_path), None)
-    assert again.line_of("one") == {"output": "one", "n": 1}
-    assert again.line_of("two") == {}
-    again.add({"output": "two", "n": 3})
-    again.add({"output": "two", "n": 4})
-    again.finish(["two", "one"])
+    with Manifest(str(tmp_path), None) as again:
+        assert again.line_of("one") == {"output": "one", "n": 1}
+        assert again.line_of("two") == {}
+        again.add({"output": "two", "n": 3})
+        again.add({"output": "two", "n": 4})
+        again.finish(["two", "one"])
+    assert os.listdir(tmp_path) == ["manifest.jsonl"]
     assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [4, 1]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "refused"),
+    [
+        (None, None, True),
+        ((1, 2), (1, 2), True),
+        ((1, 2), (2, 2), False),
+        (None, (2, 2), True),
+        ((1, 2), None, True),
+        ((1, 2), (1, 3), True),
+    ],
+)
+def test_a_folder_has_one_run_for_each_mesh(one, other, refused: bool, tmp_path: Path) -> None:
+    with Manifest(str(tmp_path), one) as manifest:
+        manifest.add({"output": "one"})
+        if refused:
+            with pytest.raises(FileError, match=r"another run .* wait until it ends"):
+                Manifest(str(tmp_path), other)
+        else:
+            Manifest(str(tmp_path), other).discard()
+        assert manifest.line_of("one") == {"output": "one"}
+    assert os.listdir(tmp_path) == [manifest.path.name]
+    with Manifest(str(tmp_path), other):
+        assert len(os.listdir(tmp_path)) == 2
 
 
 # ---- one tar

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,6 +23,19 @@ DRIVERS = ["Intel", "Portable"]
 
 CUBE = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
 # A command that stops in the middle of writing its output, with the program's own beginning.
+CRASHING = """
+import os, sys
+from voxtool.opencl import program
+name, platform = sys.argv.pop(1), sys.argv.pop(1)
+found = getattr(program, name)
+def crash(cl, context, *more):
+    if platform in context.devices[0].platform.name:
+        os.abort()
+    return found(cl, context, *more)
+setattr(program, name, crash)
+from voxtool.__main__ import main
+main()
+"""
 HALF = """
 import os, sys, time
 from voxtool import files, watch
@@ -133,6 +147,28 @@ def test_a_crash_is_one_line_that_names_the_device_and_leaves_no_file(then, devi
     assert os.listdir() == ["cube.obj"]
 
 
+@pytest.mark.parametrize(
+    ("where", "device", "command"),
+    [
+        ("build", "Intel", "voxelize cube.obj --dim 16 --device Intel"),
+        ("build", "Portable", "repair cube.obj --dim 16 -o b.obj --device Portable"),
+        ("compiled", "Portable", "devices"),
+    ],
+)
+def test_a_compiler_that_ends_the_process_is_one_line(where, device, command, cube) -> None:
+    """It names the device, and the others."""
+    words = [sys.executable, "-c", CRASHING, where, device, *command.split()]
+    done = subprocess.run(words, env=ENVIRONMENT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == -signal.SIGABRT
+    assert "Traceback" not in done.stderr
+    used, other = done.stderr.splitlines()[-1].split(" crashed: ")  # a driver prints its own before
+    assert used.startswith("voxtool: error: the command ended without a result")
+    assert f"the driver of {open_device(device).info.title}" in used
+    (name,) = (open_device(each).info.title for each in DRIVERS if each != device)
+    assert re.search(rf"choose another device with --device: .*\d: {re.escape(name)}", other)
+    assert os.listdir() == ["cube.obj"]
+
+
 def test_leftovers_of_dead_processes_go_when_the_target_is_written_again(cube) -> None:
     script = (
         "import os; from voxtool.files.atomic import atomic_path as a\nwith a('a.obj') as t: {}"
@@ -165,6 +201,12 @@ def test_leftovers_of_dead_processes_go_when_the_target_is_written_again(cube) -
         ("$V svo-info - <&-", 3, "stdin"),
         ("$V svo-info a.svo.h5 >/dev/full", 3, "standard output: the disk is full"),
         ("$V svo-info a.svo.h5 2>&-", 0, ""),
+        ("$V svo-info a.svo.h5 2>/dev/full", 0, ""),
+        ("$V voxelize cube.obj --dim 16 -o b.svo.h5 2>/dev/full && false", 3, ""),
+        ("$V voxelize cube.obj --dim 16 -o - --json 2>/dev/full >b.svo.h5", 3, ""),
+        ("$V svo-info none.svo.h5 2>/dev/full", 3, ""),
+        ("$V svo-info 2>/dev/full", 2, ""),
+        ("$V svo-info a.svo.h5 2>/dev/full >/dev/full", 3, ""),
         ("$V svo-info none.svo.h5 2>&-", 3, ""),
         ("$V voxelize cube.obj --dim 16 -o b.svo.h5 <&- >&- 2>&-", 0, ""),
         ("ulimit -f 2000; $V render a.svo.h5 --float -o b.npy", 3, "cannot write b.npy: the file"),

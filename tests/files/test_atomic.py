@@ -19,7 +19,8 @@ import pytest
 from helpers_files import ROOT
 
 from voxtool.errors import FileError
-from voxtool.files.atomic import atomic_path, check_target
+from voxtool.files import atomic
+from voxtool.files.atomic import atomic_folder, atomic_path, check_target
 
 posix_only = pytest.mark.skipif(os.name != "posix", reason="POSIX only")
 
@@ -304,3 +305,71 @@ def test_killed_at_any_moment_the_file_is_whole(tmp_path: Path) -> None:
             process.kill()
         data = target.read_bytes()
         assert data == data[:1] * 50_000
+
+
+# Folders
+
+
+def put_folder(target: Path, text: str) -> None:
+    with atomic_folder(target) as temporary:
+        for name in "ab":
+            (temporary / name).write_text(text)
+
+
+@pytest.mark.parametrize("exchanges", [True, False])
+def test_a_folder_is_replaced_as_a_whole(exchanges: bool, tmp_path: Path, monkeypatch) -> None:
+    """Whatever several writers do at once; where a system cannot exchange two folders, too."""
+    if not exchanges:
+        monkeypatch.setattr(atomic, "_exchanged", lambda *_: False)
+    target = tmp_path / "o"
+    put_folder(target, "before")
+    errors: list[BaseException] = []
+
+    def write(number: int) -> None:
+        try:
+            for turn in range(20):
+                put_folder(target, f"{number} {turn}")
+        except BaseException as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=write, args=(n,)) for n in range(4)]
+    for thread in threads:
+        thread.start()
+    while exchanges and any(thread.is_alive() for thread in threads):
+        assert (target / "a").exists()  # at every moment there is one
+    for thread in threads:
+        thread.join()
+    assert errors == []
+    assert names(target) == [".voxtool", "a", "b"]
+    assert (target / "a").read_text() == (target / "b").read_text() != "before"
+    assert names(tmp_path) == ["o"]
+
+
+def test_what_no_export_wrote_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "o").mkdir()
+    put_folder(tmp_path / "o", "new")  # it was empty
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "x").write_text("mine")
+    with pytest.raises(FileError, match="holds files that no export wrote"):
+        put_folder(tmp_path / "mine", "new")
+    assert names(tmp_path / "mine") == ["x"]
+
+
+KILLED_FOLDER = KILLED.replace("atomic_path", "atomic_folder").replace(
+    "open(temporary,", "open(temporary / 'a',"
+)
+
+
+@posix_only
+def test_the_folder_of_a_killed_process_goes_when_the_target_is_written(tmp_path: Path) -> None:
+    target = tmp_path / "o"
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with started(KILLED_FOLDER, target, **streams) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"written\n"
+        put_folder(target, "old")
+        assert len(names(tmp_path)) == 2  # its writer lives
+        process.kill()
+    put_folder(target, "new")
+    assert names(tmp_path) == ["o"]
+    assert (target / "a").read_text() == "new"

@@ -15,7 +15,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import meshes
@@ -33,7 +32,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning"),
 ]
 SHAPE = (24, 20, 22)
-TESTS = 6  # that share the time
 READERS = {
     "svo.h5": voxtool.read_svo,
     "svo.xml": voxtool.read_svo,
@@ -45,30 +43,6 @@ READERS = {
     "off": voxtool.load_mesh,
     "glb": voxtool.load_mesh,
 }
-
-
-@pytest.fixture(scope="session")
-def seed(request: pytest.FixtureRequest) -> int:
-    given = request.config.getoption("seed")
-    chosen = random.SystemRandom().randrange(1 << 32) if given is None else given
-    print(f"soak: --seed {chosen}")
-    return chosen
-
-
-@pytest.fixture
-def rounds(request: pytest.FixtureRequest, seed: int) -> Iterator[Iterator[random.Random]]:
-    """One random generator a round, for as long as the test's share of the time lasts."""
-    end = time.monotonic() + request.config.getoption("soak") / TESTS
-    count = 0
-
-    def until_then() -> Iterator[random.Random]:
-        nonlocal count
-        while count == 0 or time.monotonic() < end:
-            yield random.Random(f"{request.node.name} {seed} {count}")
-            count += 1
-
-    yield until_then()
-    print(f"soak: {request.node.name}: {count:,} rounds")
 
 
 def test_random_meshes_agree_with_oracles_on_every_driver(rounds) -> None:

@@ -211,7 +211,8 @@ def test_workers_write_windows_where_they_see_the_folder(
     put, note = job.store.put, job.store.take_note
     monkeypatch.setattr(job.store, "put", lambda *given: (sent.append(given[0]), put(*given)))
     if not seen:
-        monkeypatch.setattr(job.store, "take_note", lambda line: note({**line, "bricks": 1 << 40}))
+        other = {"files": {"0": (1 << 40, "")}}
+        monkeypatch.setattr(job.store, "take_note", lambda line: note({**line, **other}))
     assert in_memory(job.run()) == surface
     assert bool(sent) != seen
     assert len(job.store) == job._done

@@ -115,7 +115,7 @@ def test_a_killed_run_goes_on(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     with pytest.raises(Killed):
         run(limited)
     folder, left[0] = Path("two.svo.h5.windows"), 100
-    made = [path for path in folder.iterdir() if path.suffix == ".1"]
+    made = list(folder.rglob("*.1"))
     assert len(made) == 2  # the leaves of each window
     made[0].write_bytes(made[0].read_bytes()[:-1])  # cut off
     plain = limited.replace("--dag ", "")

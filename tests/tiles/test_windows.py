@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
+import time
 from collections import namedtuple
 from pathlib import Path
 
@@ -12,10 +14,11 @@ import numpy as np
 import pytest
 from helpers_cli import fail, run, told
 
+from voxtool import claims
 from voxtool.errors import FileError
 from voxtool.files import read_svo
 from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Window, Windows, write_beside
+from voxtool.files.windows import Key, Store, Window, Windows, write_beside
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
@@ -152,10 +155,11 @@ def test_a_killed_run_goes_on(dying: list[int], here: Path) -> None:
     with pytest.raises(Killed):
         run(command)
     assert not Path("parts.svo.h5").exists()
-    made = [path for path in folder.iterdir() if path.name != "windows.jsonl"]
+    (own,) = (path for path in folder.iterdir() if path.name != ".owner")
+    made = [path for path in own.iterdir() if path.name != "windows.jsonl"]
     assert len(made) == 6  # states and bricks
     made[1].write_bytes(made[1].read_bytes()[:-1])  # cut off
-    with open(folder / "windows.jsonl", "a") as journal:
+    with open(own / "windows.jsonl", "a") as journal:
         journal.write('{"window": [0, 0')
     other = command.replace("400", "401")
     dying[0] = 100
@@ -186,9 +190,13 @@ def test_a_folder_that_is_something_else(tmp_path: Path) -> None:
     folder = tmp_path / "x.svo.h5.windows"
     folder.mkdir()
     (folder / "mine").write_text("")
-    with pytest.raises(FileError, match="is in the way: rename it"):
-        Windows(str(tmp_path / "x.svo.h5"), {})
+    (tmp_path / "y.windows").write_text("")
+    for name in ("x.svo.h5", "y"):
+        with pytest.raises(FileError, match="is in the way: rename it"):
+            Windows(str(tmp_path / name), {})
     assert (folder / "mine").exists()
+    with pytest.raises(FileError, match="cannot write"):
+        Windows(str(tmp_path / "none" / "x"), {})
 
 
 def test_a_disk_without_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,12 +210,137 @@ def test_a_disk_without_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         assert json.loads((store.folder / "windows.jsonl").read_text())["request"] == {}
 
 
-def test_what_another_process_wrote_counts_if_it_is_whole(tmp_path: Path) -> None:
-    masks, values = np.array([5, 1], np.uint64), np.zeros((3, 3), "f4")
-    normal = Attribute("normal", values, values[:0], masks, (0, 0, 0))
-    window = Window.of([np.zeros(1, np.uint8)], masks, 3, [normal])
+def test_windows_of_an_older_version_are_removed(tmp_path: Path) -> None:
+    folder = tmp_path / "a.windows"
+    folder.mkdir()
+    (folder / "windows.jsonl").write_text('{"voxtool": "windows", "version": 1, "request": {}}\n')
+    (folder / "0-0-0-8.0").write_bytes(b"1")
+    with pytest.raises(FileError, match="is of another mesh, grid or options"):
+        Windows(str(tmp_path / "a"), {}, resume=True)
     with Windows(str(tmp_path / "a"), {}) as store:
-        line = write_beside(store.place, (0, 0, 0, 8), window)
+        assert len(store) == 0
+    assert not folder.exists()
+
+
+def window_of(seed: int) -> Window:
+    """Return a window with bricks and an attribute."""
+    random = np.random.default_rng(seed)
+    masks, values = random.integers(1, 99, 2, np.uint64), random.random((3, 3), np.float32)
+    normal = Attribute("normal", values, values[:0], masks, (0, 0, 0))
+    return Window([random.integers(0, 3, 8, np.uint8)], masks, 3, [normal])
+
+
+KEYS = (0, 0, 0, 8), (8, 0, 0, 8)
+FILES = ("0", "1", "normal.masks", "normal.values")
+
+
+def content(store: Store, key: Key) -> list[np.ndarray]:
+    """Return all that is read back of a window."""
+    parts = (store.array(key, "normal", part) for part in ("masks", "values", "leaves"))
+    return [*store.get(key)[0], *store.bricks(key), *(block for part in parts for block in part)]
+
+
+@pytest.mark.parametrize("how", ["flip", "cut", "longer", "empty", "other", "gone"])
+@pytest.mark.parametrize("name", FILES)
+def test_whatever_is_read_back_is_what_was_written(name: str, how: str, tmp_path: Path) -> None:
+    with Windows(str(tmp_path / "a"), {}) as store:
+        for seed, key in enumerate(KEYS):
+            store.put(key, window_of(seed))
+        whole = content(store, KEYS[0])
+        file, other = (store.folder / f"{'-'.join(map(str, key))}.{name}" for key in KEYS)
+        data = file.read_bytes()
+        changed = {
+            "flip": data[:-1] + bytes([data[-1] ^ 1]),
+            "cut": data[:-8],
+            "longer": data + b"x",
+            "empty": b"",
+            "other": other.read_bytes(),
+        }
+        file.unlink() if how == "gone" else file.write_bytes(changed[how])
+        with pytest.raises(
+            FileError, match=r"is gone: another run|is not what this run wrote"
+        ) as no:
+            content(store, KEYS[0])
+        assert "\n" not in str(no.value)
+        again = Store(store.folder, {})  # as --resume reads it
+        assert (KEYS[0] in again, KEYS[1] in again) == (False, True)
+        file.write_bytes(data)
+        np.testing.assert_equal(content(store, KEYS[0]), whole)
+
+
+def test_a_run_owns_its_folder(tmp_path: Path) -> None:
+    target = str(tmp_path / "a")
+    with Windows(target, {"n": 1}) as store:
+        store.put(KEYS[0], window_of(0))
+        for resume in (False, True):
+            for request in ({"n": 1}, {"n": 2}):
+                with pytest.raises(FileError, match=r"another run .* is making"):
+                    Windows(target, request, resume=resume, keep=not resume)
+        with Windows(str(tmp_path / "b"), {"n": 1}):
+            pass
+        assert len(content(store, KEYS[0])) > 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_runs_that_come_and_go_are_refused_or_own_the_folder(tmp_path: Path) -> None:
+    said, errors, owned = set[str](), list[BaseException](), [0]
+
+    def come_and_go(number: int) -> None:
+        end = time.monotonic() + 1
+        while time.monotonic() < end:
+            try:
+                with Windows(str(tmp_path / "a"), {"n": number}) as store:
+                    store.put(KEYS[0], window_of(number))
+                    assert len(content(store, KEYS[0])) > 2
+                    owned[0] += 1
+            except FileError as error:
+                said.add(str(error).partition(" (process")[0])
+            except BaseException as error:
+                errors.append(error)
+
+    threads = [threading.Thread(target=come_and_go, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert errors == []
+    assert {text.split(" is making")[0] for text in said} <= {"another run"}
+    assert owned[0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_lost_its_folder_ends_in_one_line(tmp_path: Path, monkeypatch) -> None:
+    """Locks are not known there, and the run was stopped for long."""
+    target = str(tmp_path / "a")
+    lost = Windows(target, {"n": 1})
+    lost.put(KEYS[0], window_of(0))
+    monkeypatch.setattr(claims.Claim, "_lock", lambda _: False)
+    monkeypatch.setattr(claims, "machine", lambda: "another")
+    monkeypatch.setattr(claims, "BEAT", 0.01)
+    with Windows(target, {"n": 1}, resume=True) as store:
+        assert KEYS[0] in store
+        for call in (lambda: lost.put(KEYS[1], window_of(1)), lambda: content(lost, KEYS[0])):
+            with pytest.raises(FileError, match=r"is gone: another run or program has taken"):
+                call()
+        lost.__exit__(None)
+        assert len(content(store, KEYS[0])) > 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_window_that_two_workers_make_is_whole(tmp_path: Path) -> None:
+    with Windows(str(tmp_path / "a"), {}) as store:
+        one, two = (write_beside(store.place, KEYS[0], window_of(0)) for _ in range(2))
+        assert one == two
+        assert one
+        assert store.take_note(one)
+        assert len(list(store.folder.iterdir())) == len(FILES) + 2  # leaves, and the journal
+        assert write_beside((store.place[0], "{}"), KEYS[1], window_of(1)) is None
+        assert len(content(store, KEYS[0])) > 2
+
+
+def test_what_another_process_wrote_counts_if_it_is_whole(tmp_path: Path) -> None:
+    with Windows(str(tmp_path / "a"), {}) as store:
+        line = write_beside(store.place, KEYS[0], window_of(0))
         assert line
         assert store.take_note(line)
         file = store.folder / "0-0-0-8.normal.values"

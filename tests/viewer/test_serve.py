@@ -5,9 +5,13 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
+import os
 import signal
+import socket
+import struct
 import subprocess
 import threading
+import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +23,7 @@ from helpers_browser import Viewer
 from helpers_cli import ENVIRONMENT, MODULE, fail
 
 import voxtool
+from voxtool.viewer import serve
 from voxtool.viewer.job import plan_view
 from voxtool.viewer.serve import PageServer
 
@@ -67,6 +72,68 @@ def test_nothing_else_is_answered() -> None:
         for path in ("/", "/data/bricks", f"{server.start}../etc/passwd", f"{server.start}data/x"):
             assert answer(server, path)[0] == 404
         assert answer(server, server.start, host="evil.example")[0] == 404
+
+
+REQUEST = "GET {start} HTTP/1.1\r\nHost: {address}\r\n\r\n"
+
+
+@pytest.mark.parametrize("reset", [False, True])
+def test_a_connection_may_stop_at_every_point(reset: bool, capfd, monkeypatch) -> None:
+    """It ends, after a while at the latest, nothing is printed, and others are answered."""
+    monkeypatch.setattr(serve, "IDLE", 0.4)
+    monkeypatch.setattr(serve, "STALLED", 0.4)
+    octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)))
+    with serving(octree) as server:
+        server.contents[server.start] = bytes(30 << 20)  # more than buffers take
+        request = REQUEST.format(start=server.start, address=server.address).encode()
+        before = threading.active_count()
+        left = []
+        for sent in (0, 1, 20, len(request) - 1, len(request)):
+            for taken in (0, 1, 5 << 20) if sent == len(request) else (0,):
+                connection = socket.create_connection(server.server_address)
+                connection.sendall(request[:sent])
+                while taken > 0:
+                    taken -= len(connection.recv(min(taken, 1 << 16)))
+                if reset:  # as a browser that reloads
+                    linger = struct.pack("ii", 1, 0)
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+                    connection.close()
+                else:
+                    left.append(connection)
+        assert answer(server, server.start)[0] == 200
+        end = time.monotonic() + 20
+        while threading.active_count() > before and time.monotonic() < end:
+            time.sleep(0.05)
+        assert threading.active_count() == before
+        for connection in left:
+            connection.close()
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
+def test_a_server_without_descriptors_waits(capfd, monkeypatch) -> None:
+    """It does not spin, and answers once connections end."""
+    import resource
+
+    monkeypatch.setattr(serve, "IDLE", 1.0)
+    octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)))
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with serving(octree) as server:
+        clients = [socket.socket() for _ in range(20)]
+        most = max(map(int, os.listdir("/proc/self/fd"))) + 9  # less than clients
+        with contextlib.ExitStack() as stack:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, limits[1]))
+            stack.callback(resource.setrlimit, resource.RLIMIT_NOFILE, limits)
+            for client in clients:
+                client.connect(server.server_address)
+            before = time.process_time()
+            time.sleep(0.6)
+            assert time.process_time() - before < 0.3
+        time.sleep(0.6)
+        assert answer(server, server.start)[0] == 200
+        for client in clients:
+            client.close()
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.slow

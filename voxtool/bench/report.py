@@ -29,7 +29,7 @@ from voxtool.bench.points import (
 )
 from voxtool.bench.tables import absent_of, tables_of
 from voxtool.errors import FileError, human, printable
-from voxtool.files import atomic_path, check_target
+from voxtool.files import alone, atomic_path, check_target
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = f"{MAJOR}.1"
 FILES = ("report.json", "report.csv", "report.html")
+PATIENCE = 60  # seconds to wait for another run that writes into the same folder
 NEEDS = {"matplotlib": "charts need matplotlib", "jinja2": "pages need Jinja2"}
 
 
@@ -125,10 +126,11 @@ def write_files(contents: dict[str, bytes], folder: str, clobber: bool) -> list[
     """Write files into a folder, which may not exist yet; returns their paths, in order."""
     Path(folder).mkdir(exist_ok=True)
     written = []
-    for name, content in contents.items():
-        with atomic_path(Path(folder, name), clobber) as temporary:
-            temporary.write_bytes(content)
-        written.append(Path(folder, name))
+    with alone(folder, PATIENCE):  # the files of one report
+        for name, content in contents.items():
+            with atomic_path(Path(folder, name), clobber) as temporary:
+                temporary.write_bytes(content)
+            written.append(Path(folder, name))
     return written
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from voxtool.cli.failures import FAILURES, STREAM_ERRORS, failure_of
-from voxtool.cli.options import PRINTED, TO_STDOUT, print_json, tell, warn
+from voxtool.cli.options import PRINTED, TO_STDOUT, UNSAID, print_json, say, tell, warn
 from voxtool.errors import FileError, VoxtoolWarning
 from voxtool.version import __version__
 
@@ -55,6 +55,7 @@ class Voxtool(click.Group):
         extra.update(standalone_mode=False)
         words = list(sys.argv[1:] if args is None else args)
         self.context, self.words = None, tuple(words)
+        UNSAID.clear()
         try:
             with library_warnings():
                 # a subcommand returns None; --help and the like return an exit code
@@ -66,9 +67,11 @@ class Voxtool(click.Group):
             gone = reader_has_gone(error)
             code = 0 if gone else self.report(error, "--json" in words)
             if gone or (isinstance(error, OSError) and error.errno in STREAM_ERRORS):
-                from voxtool.files.streams import discard_stdout
+                from voxtool.files.streams import discard
 
-                discard_stdout()
+                discard(sys.stdout)
+        if code == 0 and UNSAID:
+            code = 3
         sys.exit(code)
 
     def report(self, error: Exception, as_json: bool) -> int:
@@ -76,7 +79,7 @@ class Voxtool(click.Group):
         failure = failure_of(error)
         message, code = failure["message"], failure["exit_code"]
         if message.startswith("Usage:"):  # the help, where a command stands alone
-            click.echo(message, err=True)
+            say(message)
             return code
         tell(f"error: {message}")
         done = self.context.meta if self.context else {}

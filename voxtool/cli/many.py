@@ -165,16 +165,23 @@ class Many:
 
         began = time.perf_counter()
         tasks = [Task(mesh, self.outputs.get(mesh)) for mesh in self.meshes]
-        manifest = None
-        if self.folder is not None and not self.values["only_plan"]:
-            from voxtool.files.manifest import Manifest, make_folder
+        if self.folder is None or self.values["only_plan"]:
+            return self.make(tasks, None, began)
+        from voxtool.files.manifest import Manifest
 
-            if not self.values["overwrite"]:
-                refuse_inputs([*(str(task.output) for task in tasks), *filter(None, [self.tar])])
-            if self.tar and self.is_packed(self.tar):
-                self.counts["up to date"] = len(tasks)
-                return self.summarize(None, time.perf_counter() - began)
-            manifest = Manifest(self.folder, self.shard)
+        if not self.values["overwrite"]:
+            refuse_inputs([*(str(task.output) for task in tasks), *filter(None, [self.tar])])
+        if self.tar and self.is_packed(self.tar):
+            self.counts["up to date"] = len(tasks)
+            return self.summarize(None, time.perf_counter() - began)
+        with Manifest(self.folder, self.shard) as manifest:
+            self.make(tasks, manifest, began)
+
+    def make(self, tasks: Sequence[Task], manifest: Manifest | None, began: float) -> None:
+        """Do the tasks that are not up to date, and report."""
+        if manifest:
+            from voxtool.files.manifest import make_folder
+
             for below in {os.path.dirname(self.outputs[mesh]) for mesh in self.meshes} - {""}:
                 make_folder(below)
         todo = [task for task in tasks if not (manifest and self.is_current(manifest, task))]

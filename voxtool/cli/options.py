@@ -33,6 +33,7 @@ PROGRESS_AFTER = 1.0  # seconds
 BAR, WARNINGS, HELD, TO_STDOUT, PRINTED, LINES = (
     f"voxtool.{name}" for name in ("bar", "warnings", "held", "to_stdout", "printed", "lines")
 )
+UNSAID: list[OSError] = []  # why stderr did not take what the command said
 
 
 class Parsed(click.ParamType):
@@ -289,7 +290,11 @@ def _meta() -> dict[str, Any]:
 
 def print_json(value: Any, err: bool = False) -> None:
     """Print the one JSON document of a command, on stdout or on stderr."""
-    click.echo(json.dumps(value, indent=2), err=err)
+    text = json.dumps(value, indent=2)
+    if err:
+        say(text)
+    else:
+        click.echo(text)
     _meta()[PRINTED] = True
 
 
@@ -336,7 +341,21 @@ def tell(message: str) -> None:
         return
     if bar := meta.get(BAR):
         bar.erase()
-    click.echo(f"voxtool: {printable(message)}", err=True)
+    say(f"voxtool: {printable(message)}")
+
+
+def say(text: str, end: str = "\n") -> None:
+    """Print a text on stderr. If its disk is full, the command goes on, and ends with exit code 3
+    (UNSAID)."""
+    try:
+        click.echo(f"{text}{end}", err=True, nl=False)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        from voxtool.files.streams import discard
+
+        UNSAID.append(error)
+        discard(sys.stderr)
 
 
 class Progress:
@@ -389,7 +408,7 @@ class Progress:
         """Clear the line, until the next stage begins."""
         with self.lock:
             if self.width:
-                click.echo(f"\r{' ' * self.width}\r", err=True, nl=False)
+                say(f"\r{' ' * self.width}\r", "")
                 self.width = 0
 
     def _appear(self) -> None:
@@ -403,5 +422,5 @@ class Progress:
         left = len(self.stages) - self.done
         bar = f"[{'#' * self.done}{'.' * left}] " if self.stages else ""
         text = f"{bar}{self.stage}{f' {self.percent} %' if self.percent else ''}"
-        click.echo(f"\r{text:<{self.width}}", err=True, nl=False)
+        say(f"\r{text:<{self.width}}", "")
         self.width = len(text)

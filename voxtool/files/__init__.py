@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files import formats, streams
-from voxtool.files.atomic import atomic_path, check_target
+from voxtool.files.atomic import alone, atomic_path, check_target
 from voxtool.files.formats import (
     ADF_FORMATS,
     COLOUR_FORMATS,
@@ -65,6 +65,7 @@ __all__ = [
     "TET_FORMATS",
     "TEXT_FORMATS",
     "VOLUME_FORMATS",
+    "alone",
     "atomic_path",
     "check_holds_parts",
     "check_target",

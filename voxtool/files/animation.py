@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from voxtool.errors import FileError
+from voxtool.files.atomic import alone
 from voxtool.files.picture import write_png
 from voxtool.files.streams import STREAM, PathLike, open_output
 
@@ -60,9 +61,10 @@ def write_animation(
         If a file cannot be written, the frames are too large for the format, or PyAV is missing.
     """
     if format == "png":
-        for number, frame in enumerate(frames):
-            with open_output(numbered(path, number), clobber=clobber) as file:
-                write_png(frame, file)
+        with alone(path):
+            for number, frame in enumerate(frames):
+                with open_output(numbered(path, number), clobber=clobber) as file:
+                    write_png(frame, file)
         return
     frames = iter(frames)
     first = next(frames)

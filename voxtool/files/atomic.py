@@ -1,30 +1,31 @@
 """A file appears whole or not at all: write beside the target, fsync, rename.
 
-A killed process leaves the old file or none, and at worst a hidden
+A killed process leaves the old file or folder or none, and at worst a hidden
 `.NAME.MACHINE-PROCESS-RANDOM.tmp`, which is removed when the same target is written again.
 """
 
 from __future__ import annotations
 
 import errno
-import functools
-import hashlib
 import os
-import platform
 import shutil
 import signal
+import sys
 import threading
+import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from voxtool import watch
+from voxtool.claims import OWNER, Claim, machine
 from voxtool.errors import FileError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+OCCUPIED = {errno.ENOTEMPTY, errno.EEXIST, errno.EACCES}  # EACCES on Windows
 _outputs = threading.local()
 MARK = ".voxtool"  # the empty file in folders that an export wrote
 HINTS = {
@@ -123,30 +124,25 @@ def atomic_folder(target: str | os.PathLike[str], clobber: bool = True) -> Itera
     ------
     FileError : the target cannot be written, or holds something else.
     """
-    import tempfile
-
     target = Path(target)
     check_target(target, clobber, folder=True)
     real = Path(os.path.realpath(target))
-    stem = f".{target.name[:40]}.{_machine()}-"
     with watch.making:
-        temporary = Path(tempfile.mkdtemp(".tmp", f"{stem}{os.getpid()}-", real.parent))
+        temporary = _name_beside(real.parent, target.name)
+        try:
+            temporary.mkdir()
+        except OSError as error:
+            raise write_error(target, error) from error
         watch.writing(temporary)
     try:
         yield temporary
-        temporary.chmod(0o777 & ~_umask())
         (temporary / MARK).touch()
         for path in temporary.rglob("*"):
             if path.is_file():
                 _sync(path, os.O_RDWR)
                 count(path.stat().st_size)
-        if real.exists():
-            check_target(target, clobber, folder=True)
-            with tempfile.TemporaryDirectory(".tmp", stem, real.parent) as aside:
-                real.rename(Path(aside) / "old")
-                temporary.rename(real)
-        else:
-            temporary.rename(real)
+        check_target(target, clobber, folder=True)
+        _replace_folder(temporary, real)
     except OSError as error:
         raise write_error(target, error) from error
     finally:
@@ -165,10 +161,78 @@ def _check_replaced(target: Path) -> None:
         raise FileError(f"cannot write {target}: it is a file, and a folder is to be written")
 
 
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
+def _replace_folder(made: Path, target: Path) -> None:
+    """Put a folder in the place of another one, whatever other processes put there meanwhile; what
+    was there is then in the place of `made`, or removed."""
+    while True:
+        try:
+            made.rename(target)  # there is nothing, or an empty folder
+            return
+        except OSError as error:
+            if error.errno not in OCCUPIED or not target.is_dir():
+                raise
+        if _exchanged(made, target):
+            return
+        aside = made.with_suffix(".old")
+        with suppress(FileNotFoundError):
+            target.rename(aside)
+        try:
+            made.rename(target)
+        except OSError as error:
+            if error.errno not in OCCUPIED:
+                aside.rename(target)
+                raise
+        else:
+            return
+        finally:
+            if target.exists():
+                shutil.rmtree(aside, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange two folders at once, where the system can; return whether it did."""
+    if sys.platform != "linux":
+        return False
+    import ctypes
+
+    try:
+        rename = ctypes.CDLL(None).renameat2
+    except (OSError, AttributeError):
+        return False
+    here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
+    return rename(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
+
+
+@contextmanager
+def alone(output: str | os.PathLike[str], patience: float = 0) -> Iterator[Claim]:
+    """Own an output of several files while the block runs, by a hidden file beside it.
+
+    Parameters
+    ----------
+    patience : seconds to wait for another run that makes it.
+
+    Raises
+    ------
+    FileError : another run makes it, or the folder cannot be written.
+    """
+    above, name = os.path.split(os.path.realpath(output))
+    end = time.monotonic() + patience
+    while True:
+        try:
+            claim = Claim(Path(above, f".{name}{OWNER}"), output)
+            break
+        except FileError:
+            if time.monotonic() >= end:
+                raise
+            time.sleep(0.05)
+        except OSError as error:
+            raise write_error(output, error) from error
+    watch.writing(claim.file)
+    try:
+        yield claim
+    finally:
+        claim.release()
+        watch.written(claim.file)
 
 
 def write_error(target: str | os.PathLike[str], error: OSError) -> FileError:
@@ -196,23 +260,19 @@ def _is_device(path: Path) -> bool:
 
 
 def _create_beside(folder: Path, name: str) -> Path:
-    """A new empty file, named after this machine and process; what processes that have died left
-    there for the same target is removed."""
-    stem = f".{name[:40]}.{_machine()}-"
-    _sweep(folder, stem)
+    """A new empty file that becomes `name`."""
     flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-    path = folder / f"{stem}{os.getpid()}-{os.urandom(8).hex()}.tmp"
+    path = _name_beside(folder, name)
     os.close(os.open(path, flags, 0o666))  # the system applies the umask
     return path
 
 
-@functools.cache
-def _machine() -> str:
-    """A key of the machine, or of the container, in which numbers of processes mean something."""
-    processes = 0
-    with suppress(OSError):
-        processes = os.stat("/proc/self/ns/pid").st_ino
-    return hashlib.sha256(f"{platform.node()} {processes}".encode()).hexdigest()[:8]
+def _name_beside(folder: Path, name: str) -> Path:
+    """The name, after this machine and process, of a new file or folder that becomes `name`; what
+    processes that have died left there for it is removed."""
+    stem = f".{name[:40]}.{machine()}-"
+    _sweep(folder, stem)
+    return folder / f"{stem}{os.getpid()}-{os.urandom(8).hex()}.tmp"
 
 
 def _sweep(folder: Path, stem: str) -> None:
@@ -225,7 +285,7 @@ def _sweep(folder: Path, stem: str) -> None:
                 try:
                     os.kill(int(process), 0)
                 except ProcessLookupError:
-                    (folder / name).unlink(missing_ok=True)
+                    _remove(folder / name)
                 except (OSError, OverflowError):  # it is another user's
                     continue
 
@@ -238,6 +298,14 @@ def written() -> int:
 def count(size: int) -> None:
     """Add the bytes of an output to those that this thread has written."""
     _outputs.bytes = written() + size
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder with all that is in it."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _put_in_place(temporary: Path, target: Path, clobber: bool) -> None:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
+from voxtool.claims import OWNER, Claim
 from voxtool.errors import FileError
-from voxtool.files.atomic import atomic_path, write_error
+from voxtool.files.atomic import alone, atomic_path, write_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,10 +29,13 @@ class Manifest:
     path : Path
         The file that this run writes.
 
+    It is owned by this run until the context is left. Another run of the same meshes is refused,
+    and one of all meshes beside one of a shard.
+
     Raises
     ------
     FileError
-        If the folder or the file cannot be written.
+        If another run makes the folder, or it or the file cannot be written.
     """
 
     def __init__(self, folder: str, shard: tuple[int, int] | None) -> None:
@@ -42,6 +46,24 @@ class Manifest:
         self._added = False
         self._made = not os.path.isdir(folder)
         make_folder(folder)
+        self._owned = ExitStack()
+        self._claim = self._owned.enter_context(alone(self.path))
+        with self._owned:  # given back if what follows fails
+            beside = f"-of-{shard[1]}.jsonl{OWNER}" if shard else self._claim.file.name
+            for other in Path(folder).glob(f".manifest*{OWNER}"):
+                if not other.name.endswith(beside):
+                    Claim(other, folder).release()  # refused if that run is alive
+            self._read(folder)
+            self._owned = self._owned.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._owned.close()
+
+    def _read(self, folder: str) -> None:
+        """Take the lines that earlier runs wrote."""
         for other in sorted(Path(folder).glob("manifest*.jsonl")):
             self._known |= _lines_of(other)
         self._new = not self.path.exists()
@@ -56,6 +78,8 @@ class Manifest:
 
     def add(self, line: dict[str, Any]) -> None:
         """Add the line of an output."""
+        if not self._claim.holds:
+            raise FileError(f"another run has taken {self.path}: run this one again")
         text = self._own[line["output"]] = json.dumps(line)
         try:
             with open(self.path, "a", encoding="utf-8") as file:
@@ -68,6 +92,7 @@ class Manifest:
 
     def discard(self) -> None:
         """Remove the file and the folder, if this run made them and nothing else is there."""
+        self._owned.close()
         with suppress(OSError):
             if self._new:
                 self.path.unlink(missing_ok=True)
@@ -81,6 +106,7 @@ class Manifest:
             output.unlink(missing_ok=True)
             folders |= {above for above in output.parents if above.is_relative_to(top)}
         self.path.unlink(missing_ok=True)
+        self._owned.close()
         for folder in sorted(folders, reverse=True):  # those within others first
             with suppress(OSError):
                 folder.rmdir()

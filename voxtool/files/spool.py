@@ -8,6 +8,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from voxtool.errors import FileError
 from voxtool.files.atomic import write_error
 from voxtool.files.streams import STREAM, PathLike
 
@@ -22,7 +23,7 @@ class Piece(NamedTuple):
 
 class Spool:
     """Arrays in a temporary file without a name on the disk of a target, which the system removes
-    however the program ends."""
+    however the program ends. No other process can open it."""
 
     def __init__(self, target: PathLike) -> None:
         self._folder = None if target == STREAM else os.path.dirname(os.path.realpath(target))
@@ -49,10 +50,15 @@ class Spool:
         return Piece(start, array.dtype, array.shape)
 
     def get(self, piece: Piece) -> np.ndarray:
-        """Return an array."""
-        self._file.seek(piece.start)
+        """Return an array; FileError if the disk does not give it back whole."""
         array = np.empty(piece.shape, piece.dtype)
-        self._file.readinto(array.reshape(-1).view(np.uint8).data)
+        try:
+            self._file.seek(piece.start)
+            read = self._file.readinto(array.reshape(-1).view(np.uint8).data)
+        except OSError as error:
+            raise write_error(self._target, error) from error
+        if read != array.nbytes:
+            raise FileError(f"{self._target}: the disk lost what waited there: run it again")
         return array
 
     def mapped(self, dtype: type, shape: tuple[int, ...]) -> np.ndarray:

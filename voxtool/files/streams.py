@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 from contextlib import contextmanager, nullcontext, suppress
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
 
 from voxtool.errors import FileError, human, one_line
 from voxtool.files import atomic
@@ -119,17 +119,18 @@ def _standard_output(text: bool) -> Iterator[BinaryIO]:
             shutil.copyfileobj(file, sys.stdout.buffer, 1 << 20)
         sys.stdout.buffer.flush()
     except BrokenPipeError as error:
-        discard_stdout()
+        discard(sys.stdout)
         raise FileError("standard output was closed before all was written") from error
     except OSError as error:
-        discard_stdout()
+        discard(sys.stdout)
         raise write_error("standard output", error) from error
 
 
-def discard_stdout() -> None:
-    """Send the rest of the buffer to the null device, so that the program ends quietly."""
+def discard(stream: TextIO) -> None:
+    """Send the rest of the buffer of a standard stream to the null device, so that the program ends
+    quietly."""
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+        os.dup2(nowhere.fileno(), stream.fileno())
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import os
 import re
 import threading
 import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,11 @@ class DeviceInfo:
     fp64: bool
     probe: str
 
+    @property
+    def title(self) -> str:
+        """The names of the device and its platform."""
+        return f"{self.name} ({self.platform})"
+
     def as_dict(self) -> dict[str, Any]:
         """All properties in JSON types."""
         return asdict(self)
@@ -56,7 +61,13 @@ class DeviceInfo:
 
 def list_devices() -> list[DeviceInfo]:
     """Every device with the probe's outcome, in the order in which they are preferred."""
-    return [_info(i, d, _probe(d)) for i, d in enumerate(_cl_devices())]
+    devices = _cl_devices()
+    infos = [_info(i, d, "") for i, d in enumerate(devices)]
+    found = []
+    for info, each in zip(infos, devices, strict=True):
+        _watch(info, infos)
+        found.append(replace(info, probe=_probe(each)))
+    return found
 
 
 def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
@@ -87,18 +98,23 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
     infos = [_info(i, d, "") for i, d in enumerate(devices)]
     matching = [i for i in infos if choice is None or i.matches(choice)]
     if not matching:
-        names = "; ".join(f"{i.index}: {i.name} ({i.platform})" for i in infos)
+        names = "; ".join(f"{i.index}: {i.title}" for i in infos)
         raise DeviceError(f"no OpenCL device matches {choice!r}: choose one of {names}")
     failures = []
     for info in matching:
-        watch.using(f"{info.name} ({info.platform})")
+        _watch(info, infos)
         outcome = _probe(devices[info.index])
         if outcome == "ok":
             for failure in failures:
                 warnings.warn(f"passed over {failure}", DeviceWarning, stacklevel=2)
             return Device(devices[info.index], info, profile)
-        failures.append(f"{info.name} ({info.platform}), probe {outcome}")
+        failures.append(f"{info.title}, probe {outcome}")
     raise no_usable_device(failures)
+
+
+def _watch(used: DeviceInfo, infos: list[DeviceInfo]) -> None:
+    """Say which device is used, and which others there are, in case its driver ends the process."""
+    watch.using(used.title, [f"{i.index}: {i.title}" for i in infos if i.index != used.index])
 
 
 def default_device() -> Device:

@@ -151,7 +151,7 @@ def flooded(job: SurfaceAttributesJob, content: Content) -> Window:
     """Return the window of a flood with attributes of the surface, given its octree."""
     levels, bricks, voxels = content
     found = job.surface_values().attributes(codes_of(levels), bricks)
-    return Window.of(levels, bricks, voxels, found)
+    return Window(levels, bricks, voxels, found)
 
 
 class LabelAttributeWindowsJob(AttributeWindowsJob, LabelWindowsJob):

@@ -32,7 +32,7 @@ class Cube:
         voxels = int(np.bitwise_count(bricks).sum(dtype=np.int64))
         for number, states in enumerate(self.tree.levels[::-1], 1):
             voxels += int(np.count_nonzero(states == FULL)) * (BRICK_SIDE << number) ** 3
-        return Window.of(self.tree.levels, bricks, voxels, attributes, known)
+        return Window(self.tree.levels, bricks, voxels, attributes, known)
 
 
 def cubes_along(octree: Octree, side: int, axis: int) -> Iterator[Cube]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from voxtool.arrays import digest_of
 from voxtool.errors import MemoryLimitError, count_of
-from voxtool.files.windows import Key, Window, Windows
+from voxtool.files.windows import Key, Store, Window
 from voxtool.grid import Grid
 from voxtool.job import Cost
 from voxtool.mesh.mesh import Mesh
@@ -205,14 +205,14 @@ class BarsJob(WindowsJob):
         self._done = len(self.plan.bars) - len(along_x)
         self._make_bars(self._not_in(self.store, along_x), self.store)
 
-    def _not_in(self, store: Windows, bars: Sequence[Bar]) -> list[Bar]:
+    def _not_in(self, store: Store, bars: Sequence[Bar]) -> list[Bar]:
         """Return those of some bars whose cubes are not all in a store; the others are done."""
         shape = self.grid.shape
         missing = [bar for bar in bars if any(key not in store for key in bar.cubes(shape))]
         self._done += len(bars) - len(missing)
         return missing
 
-    def _make_bars(self, bars: Sequence[Bar], store: Windows) -> None:
+    def _make_bars(self, bars: Sequence[Bar], store: Store) -> None:
         """Make bars along one axis; their cubes wait in a store."""
         for bar in bars:
             self._report()
@@ -322,7 +322,7 @@ def face_cubes(job: FractionJob, bar: Bar) -> Iterator[Window]:
     firsts, wrong = starts_of(found.touched), found.disagreements
     for cube in cubes_along(octree, bar.key[3], bar.axis):
         own = pairs[firsts[cube.first] : firsts[cube.last]]
-        yield Window.of((), own.view(np.uint64).ravel(), 0, (), wrong)
+        yield Window((), own.view(np.uint64).ravel(), 0, (), wrong)
         wrong = 0
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.errors import MemoryLimitError, human
-from voxtool.files.windows import Key, Window, Windows
+from voxtool.files.windows import Key, Store, Window, Windows
 from voxtool.job import Cost
 from voxtool.svo.layout import BRICK
 from voxtool.svo.merge import CHILDREN, Subtrees, join, merge, no_subtrees
@@ -128,10 +128,10 @@ class MergingJob(WindowsJob):
 def window_of(merged: Subtrees) -> Window:
     """Return the distinct subtrees of a window as what waits on disk."""
     tables = [rows.view(np.uint8).ravel() for rows in merged.rows]
-    return Window.of(tables, merged.leaves, merged.root)
+    return Window(tables, merged.leaves, merged.root)
 
 
-def _read(store: Windows, key: Key) -> Subtrees:
+def _read(store: Store, key: Key) -> Subtrees:
     """Return the distinct subtrees of a window that waits on disk."""
     tables, _ = store.get(key)
     rows = [table.view(np.uint32).reshape(-1, CHILDREN) for table in tables]

@@ -14,7 +14,7 @@ import numpy as np
 
 from voxtool.arrays import Blocks
 from voxtool.errors import VoxtoolError
-from voxtool.files.windows import Key, Windows
+from voxtool.files.windows import Key, Store
 from voxtool.grid import Grid
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.exact_sums import exact_sum
@@ -37,7 +37,7 @@ class BlockAttribute:
     """
 
     def __init__(
-        self, about: Attribute, leaves: np.ndarray, bricks: int, store: Windows, keys: Sequence[Key]
+        self, about: Attribute, leaves: np.ndarray, bricks: int, store: Store, keys: Sequence[Key]
     ) -> None:
         self._store, self._keys, self._bricks = store, keys, bricks
         self.name, self.default, self.names = about.name, about.default, about.names

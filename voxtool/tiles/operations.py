@@ -278,7 +278,7 @@ class OperationJob(Job[BlockOctree]):
         with self.device.reporting(lambda _: None):  # not the stages within
             octree = self._window(key, cube(side))
         levels = subtree_of(octree, side).levels
-        self.store.put(key, Window.of(levels, octree.bricks, octree.count))
+        self.store.put(key, Window(levels, octree.bricks, octree.count))
 
     def _made_by(self, job: Job[Octree], grid: Grid) -> Octree:
         """Return the octree of a window's job; MemoryLimitError if the window does not fit."""

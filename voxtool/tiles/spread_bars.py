@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import count_of
-from voxtool.files.windows import Window, Windows
+from voxtool.files.windows import Store, Window
 from voxtool.tiles.cluster import results, threads_of
 from voxtool.tiles.fractions import (
     Bar,
@@ -76,7 +76,7 @@ class SpreadBarsJob(BarsJob):
     def _submitter(self) -> Callable[..., Any]:
         """Return a function that submits a bar, whose cubes wait in `place` if workers see it."""
 
-    def _make_bars(self, bars: Sequence[Bar], store: Windows) -> None:
+    def _make_bars(self, bars: Sequence[Bar], store: Store) -> None:
         submit, place = self._submitter(), store.place
         while bars:
             again = []
@@ -87,7 +87,7 @@ class SpreadBarsJob(BarsJob):
                     again.append(bar)
             bars, place = again, None
 
-    def _take(self, bar: Bar, made: Sequence[Made], store: Windows) -> bool:
+    def _take(self, bar: Bar, made: Sequence[Made], store: Store) -> bool:
         """Store the cubes of a bar; return whether all are there: not if the worker wrote them into
         another folder of the same name, so that they have to be sent."""
         for key, cube in zip(bar.cubes(self.grid.shape), made, strict=True):

@@ -308,7 +308,7 @@ class WindowsJob(Job[BlockOctree]):
 
     def _finished(self, key: Key, faces: np.ndarray) -> Window:
         """Return a window, made."""
-        return Window.of(*self._content(key, faces))
+        return Window(*self._content(key, faces))
 
     def _content(self, key: Key, faces: np.ndarray) -> Content:
         """Return the states of the nodes of a window by level, from the root down, its bricks, and
@@ -403,7 +403,7 @@ def content_of(job: VoxelizeJob, side: int) -> Content:
 def attributed(octree: Octree, side: int) -> Window:
     """Return an octree with attributes as the window of `side` voxels."""
     levels = subtree_of(octree, side).levels
-    return Window.of(levels, octree.bricks, octree.count, octree.attributes)
+    return Window(levels, octree.bricks, octree.count, octree.attributes)
 
 
 def refuse_smallest(key: Key, shortage: str, least: int = LEAST) -> None:

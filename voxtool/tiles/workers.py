@@ -188,7 +188,7 @@ def _made(
 def _window(content: Content, merged: bool) -> Window:
     """Return the content of a window as what waits on disk, with `merged` its distinct subtrees."""
     levels, bricks, _ = content
-    return window_of(merge(levels[::-1], bricks)) if merged else Window.of(*content)
+    return window_of(merge(levels[::-1], bricks)) if merged else Window(*content)
 
 
 def stored(key: Key, window: Window, place: Place | None) -> Made:
