@@ -147,7 +147,7 @@ def test_components_of_another_part_of_the_archive() -> None:
         (rb"</model>", b"", r"3dmodel.model: not readable as XML: no element found"),
         (rb"<model", b"<!DOCTYPE a [<!ENTITY b 'c'>]><model", "line 2: a DOCTYPE, which 3MF"),
         (rb'unit="millimeter"', b'unit="mile"', "unit mile is unknown: 3MF has micron, "),
-        (rb'<vertex x="1', b'<vertex x="z', "could not convert string to float: 'z"),
+        (rb'<vertex x="1', b'<vertex x="z', "'z.000000' is no number"),
         (rb'<vertex x="0[^"]*"', b"<vertex", "attribute 'x' is missing"),
         (rb'v1="0"', b'v1="99"', "face 0 names vertex 99 where there are 8"),
         (rb'v1="0"', b'v1="-1"', "names vertex -1"),

@@ -191,7 +191,7 @@ SHAPE = chunk(b"nSHP", 1, 0, 1, 0, 0)
                  chunk(b"nSHP", 3, 0, 1, 0, 0)), "node 2 is in it twice"),
         (file_of(SMALL, transform(0, 1), chunk(b"nSHP", 1, 0, 1, 5, 0)), "shows model 5 of 1"),
         (file_of(SMALL, transform(0, 1, r="5"), SHAPE), "rotation 5 is no rotation"),
-        (file_of(SMALL, transform(0, 1, r="x"), SHAPE), "is damaged"),
+        (file_of(SMALL, transform(0, 1, r="x"), SHAPE), "'x' is no whole number"),
         (file_of(SMALL, transform(0, 1, t="1 2"), SHAPE), "a translation is no three numbers"),
         (file_of(SMALL, transform(0, 1, t="1 2 9999999999"), SHAPE), "no three numbers"),
         (file_of(SMALL, chunk(b"nTRN", 0, 1, 99)), "a text is longer than its chunk"),

@@ -26,6 +26,7 @@ class Looks:
         self.materials: list[Material] = []
         self.numbers: dict[tuple[int, bool], int] = {}
         self.textures: dict[tuple[int, bool], Texture] = {}
+        self.pixels: dict[tuple[int, bool], np.ndarray] = {}
 
     def of(
         self, primitive: dict[str, Any], corners: np.ndarray, points: int
@@ -105,16 +106,23 @@ class Looks:
             sampler = {}
             if "sampler" in described:
                 sampler = self.tree.json["samplers"][described["sampler"]]
-            pixels = self._pixels(described["source"])
-            if opaque and (pixels[..., 3] != 255).any():
-                pixels = pixels.copy()
-                pixels[..., 3] = 255
+            pixels = self._pixels(described["source"], opaque)
             wraps = WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)]
             nearest = sampler.get("magFilter") == NEAREST
             self.textures[key] = Texture(pixels, wraps, "nearest" if nearest else "linear")
         return self.textures[key]
 
-    def _pixels(self, index: int) -> np.ndarray:
+    def _pixels(self, index: int, opaque: bool) -> np.ndarray:
+        """Return the pixels of an image, which textures share."""
+        if (index, opaque) not in self.pixels:
+            found = self._read(index) if not opaque else self._pixels(index, False)
+            if opaque and (found[..., 3] != 255).any():
+                found = found.copy()
+                found[..., 3] = 255
+            self.pixels[index, opaque] = found
+        return self.pixels[index, opaque]
+
+    def _read(self, index: int) -> np.ndarray:
         described = self.tree.json["images"][index]
         label = f"texture {str(described.get('name') or index)[:40]!r}"
         if "bufferView" in described:

@@ -222,6 +222,8 @@ class _Declared:
             raise _Scanned
         if tag == "VTKFile":
             self.packed = "compressor" in attributes
+            if attributes.get("compressor") == "vtkLZ4DataCompressor":
+                raise FileError(f"{self.name}: is packed by LZ4: save it with zlib or LZMA")
         elif tag == "Piece":
             self.pieces.append(attributes)
         elif tag == "DataArray":
