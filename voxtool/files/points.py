@@ -13,6 +13,7 @@ import warnings
 import zipfile
 from contextlib import contextmanager
 from itertools import chain, islice, takewhile
+from math import isinf
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
@@ -260,9 +261,19 @@ def _by_line(
 def _points_of(numbers: list[int], lines: list[str], columns: _Columns) -> np.ndarray:
     points = _parsed(lines, columns)
     if points is not None:
+        for row in np.flatnonzero(np.isinf(points).any(axis=1)).tolist():
+            _refuse_overflow(numbers[row], lines[row], columns)
         return points
     wrong = next(i for i, line in enumerate(lines) if _parsed([line], columns) is None)
     raise FileError(f"line {numbers[wrong]}: {_fault(lines[wrong], columns)}")
+
+
+def _refuse_overflow(number: int, line: str, columns: _Columns) -> None:
+    """Raise FileError if a coordinate is infinite since float64 does not hold its number."""
+    words = line.split(columns.delimiter)
+    for word in (words[place].strip() for place in columns.places or (0, 1, 2)):
+        if isinf(float(word)) and "n" not in word.lower():  # inf has one
+            raise FileError(f"line {number}: {printable(word)[:40]!r} is beyond float64")
 
 
 def _parsed(lines: list[str], columns: _Columns) -> np.ndarray | None:

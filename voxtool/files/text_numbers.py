@@ -20,6 +20,10 @@ BLANK = re.compile(rb"\s")
 WHOLE_FLOATS = 1 << 53  # up to which float64 holds every whole number
 
 
+class BeyondError(FileError):
+    """Raised for a number that its type does not hold."""
+
+
 def array_of_text(text: bytes, dtype: np.dtype) -> np.ndarray:
     """Return the numbers of a text with white space between them, (N,) of a dtype.
 
@@ -93,7 +97,7 @@ def _real(word: bytes, dtype: np.dtype) -> float:
     with np.errstate(over="ignore", under="ignore"):
         fits = math.isfinite(dtype.type(number)) or b"n" in word.lower()  # nan, inf
     if not fits:
-        raise FileError(f"{shown(word)} is beyond {dtype.name}")
+        raise BeyondError(f"{shown(word)} is beyond {dtype.name}")
     return number
 
 
@@ -103,8 +107,9 @@ def _whole(word: bytes, dtype: np.dtype) -> int:
     elif REAL.fullmatch(word) and abs(float(word)) < WHOLE_FLOATS and float(word).is_integer():
         number = int(float(word))
     else:
-        raise FileError(f"{shown(word)} is no whole number, where the type is {dtype.name}")
+        kind = BeyondError if REAL.fullmatch(word) else FileError
+        raise kind(f"{shown(word)} is no whole number, where the type is {dtype.name}")
     ends = np.iinfo(dtype)
     if not ends.min <= number <= ends.max:
-        raise FileError(f"{shown(word)} is beyond {dtype.name}")
+        raise BeyondError(f"{shown(word)} is beyond {dtype.name}")
     return number

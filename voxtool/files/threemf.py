@@ -126,7 +126,7 @@ class _Package:
                 f"{self.name}: its build names no object, so nothing is placed: export it again"
             )
         items = sum(self.size(use.key) for use in root.build)
-        check_placed(self.name, items, max_memory, self.look)
+        check_placed(self.name, items, self.limit - self.left, max_memory, self.look)
         placed = merged(self.name, self.built(root))
         parts = {}
         if "parts" in self.keep and len(placed.faces):
@@ -254,10 +254,21 @@ class _Parser:
     def __init__(self) -> None:
         self.parser = expat.ParserCreate(namespace_separator=" ")
         self.parser.StartDoctypeDeclHandler = self.doctype
-        self.parser.StartElementHandler = self.start
+        self.parser.StartElementHandler = self.begin_tag
+        self.parser.EndElementHandler = self.end_tag
+        self.depth = 0
 
     def doctype(self, *_: object) -> NoReturn:
         raise MeshError("a DOCTYPE, which 3MF forbids: export it again")
+
+    def begin_tag(self, tag: str, attributes: dict[str, str]) -> None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise MeshError(f"elements inside more than {DEEPEST} others: export it again")
+        self.start(tag, attributes)
+
+    def end_tag(self, tag: str) -> None:
+        self.depth -= 1
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         raise NotImplementedError

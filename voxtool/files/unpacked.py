@@ -65,14 +65,16 @@ class Unpacked(io.RawIOBase):
         super().close()
 
 
-def check_unpacked(needed: int, held: int) -> None:
-    """Refuse an array of `needed` bytes in a file of `held` bytes, if it is packed so well that
+def check_unpacked(
+    needed: int, held: int, what: str = "its array unpacks to", allowed: int | None = None
+) -> None:
+    """Refuse what takes `needed` bytes of a file of `held` bytes, if it is packed so well that
     reading it would take far longer than its size says, unless --max-memory allows as much."""
-    allowed = allowed_memory()
-    if needed > max(MOST_RATIO * held, ANY_SIZE if allowed is None else max(allowed, ANY_SIZE)):
+    most = allowed_memory() if allowed is None else allowed
+    if needed > max(MOST_RATIO * held, ANY_SIZE, most or 0):
         raise MemoryLimitError(
-            f"its array unpacks to {human(needed)}, {needed // max(held, 1)} times the file's "
-            f"{human(held)}: allow it by --max-memory, if you trust it"
+            f"{what} {human(needed)}, {needed // max(held, 1)} times the file's {human(held)}: "
+            "allow it by --max-memory, if you trust it"
         )
 
 

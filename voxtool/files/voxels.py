@@ -297,7 +297,7 @@ def grid_of_text(text: str) -> Grid | None:
         found = json.loads(text)
         place = [tuple(map(float.fromhex, found[name])) for name in ("origin", "pitch")]
         return Grid(tuple(map(int, found["shape"])), *place)  # pyright: ignore
-    except (ValueError, TypeError, KeyError, OverflowError, GridError):
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError, GridError):
         return None
 
 

@@ -30,6 +30,8 @@ SCAN = 1 << 16  # bytes of XML at a time
 KINDS = {"Int": "i", "UInt": "u", "Float": "f"}
 PLACES = ("CellData", "PointData")
 MOST_ARRAYS = 1000
+DEEPEST = 64  # elements inside elements
+MOST_TOKEN = 1 << 20  # bytes of one tag
 LZMA_MEMORY = 1 << 27  # twice what its highest setting takes
 
 
@@ -185,7 +187,7 @@ class _Parser:
         self.pieces = 0
         self.arrays: list[tuple[str, dict[str, str], list[str]]] = []  # place, attributes, text
         self.active: dict[str, str] = {}  # names of the active scalars, by place
-        self.place = ""
+        self.place, self.depth = "", 0
         self.order = "<"
         self.text: list[str] | None = None
         self.data = -1  # where appended data begin
@@ -201,6 +203,8 @@ class _Parser:
         try:
             while self.data < 0 and (part := file.read(SCAN)):
                 self.expat.Parse(part)
+                if file.tell() - max(self.expat.CurrentByteIndex, 0) > MOST_TOKEN:
+                    raise FileError(f"a tag of more than {MOST_TOKEN >> 20} MiB: it is damaged")
         except expat.ExpatError as error:
             if self.data < 0:
                 raise FileError(f"is no XML: {error}") from None
@@ -216,6 +220,9 @@ class _Parser:
         image = self.image
         if self.data >= 0:
             return
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise FileError(f"elements inside more than {DEEPEST} others: it is damaged")
         if name == "VTKFile":
             self.order = ">" if attributes.get("byte_order") == "BigEndian" else "<"
             image.compressor = attributes.get("compressor", "")
@@ -223,7 +230,7 @@ class _Parser:
                 raise FileError(
                     f"is packed by {printable(image.compressor)[:40]}: save it with zlib"
                 )
-            image.header = _dtype(attributes.get("header_type", "UInt32"), self.order)
+            image.header = dtype_of(attributes.get("header_type", "UInt32"), self.order)
         elif name == "ImageData":
             image.extent = tuple(map(whole, _words(attributes.get("WholeExtent", ""), 6)))
             for key in ("Origin", "Spacing", "Direction"):
@@ -246,6 +253,7 @@ class _Parser:
             self.data = self.expat.CurrentByteIndex
 
     def end(self, name: str) -> None:
+        self.depth -= 1
         if name in PLACES:
             self.place = ""
         elif name == "DataArray":
@@ -266,7 +274,7 @@ class _Parser:
         active = [a for a in found if a[1].get("Name") == self.active.get(a[0])]
         image = self.image
         image.place, attributes, text = (active or sorted(found, key=lambda a: a[0]))[0]
-        image.dtype = _dtype(attributes.get("type", ""), self.order)
+        image.dtype = dtype_of(attributes.get("type", ""), self.order)
         image.format, image.text = attributes.get("format", "ascii"), "".join(text)
         if image.format not in ("ascii", "binary", "appended"):
             raise FileError(f"an array of format {shown(image.format.encode())} is unknown")
@@ -283,7 +291,7 @@ def _words(text: str, count: int) -> list[str]:
     return words
 
 
-def _dtype(name: str, order: str) -> np.dtype:
+def dtype_of(name: str, order: str) -> np.dtype:
     """Return the dtype of a VTK type, such as UInt8."""
     word = name.rstrip("0123456789")
     bits = name[len(word) :]
