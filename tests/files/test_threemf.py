@@ -193,3 +193,26 @@ def test_bombs_are_refused_before_memory_is_taken() -> None:
     )  # fmt: skip
     with pytest.raises(MemoryLimitError, match="its meshes"):
         voxtool.load_mesh(io.BytesIO(many), "3mf")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (rb"</build>", b'<item objectid="1"/>' * 101 + b"</build>", "more than 100 items"),
+        (
+            rb"</resources>",
+            b"".join(b'<object id="%d"/>' % n for n in range(9, 120)) + b"</resources>",
+            "more than 100 objects",
+        ),
+        (rb"<resources>", b"<resources>" + b"<x>" * 70, "inside more than 64 others"),
+        (rb"<resources>", b'<resources a="' + b"1" * 2_000_000 + b'">', "a tag of more than 1 MiB"),
+        (rb'<vertex x="1', b'<vertex x="1_1', "is no number"),
+        (rb'v1="0"', b'v1="0.5"', "'0.5' is no whole number"),
+    ],
+)
+def test_many_elements_and_odd_numbers(
+    old: bytes, new: bytes, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(threemf, "MOST_OBJECTS", 100)
+    with pytest.raises(MeshError, match=message):
+        voxtool.load_mesh(io.BytesIO(changed(scene(), (old, new))), "3mf")

@@ -290,8 +290,8 @@ def _by_line(
     name: str, data: bytes, describe: bool
 ) -> tuple[np.ndarray, np.ndarray, Statements | None]:
     """Return the mesh of any OBJ; raise MeshError."""
-    total = sum(1 for _ in re.finditer(rb"^[ \t]*v[ \t]", data, re.M))
-    all_uv = sum(1 for _ in re.finditer(rb"^[ \t]*vt[ \t]", data, re.M))
+    total = sum(1 for _ in re.finditer(rb"(?:\A|[\r\n])[ \t]*v[ \t]", data))
+    all_uv = sum(1 for _ in re.finditer(rb"(?:\A|[\r\n])[ \t]*vt[ \t]", data))
     points, uv, colours = array("d"), array("d"), array("d")  # 3, 2 and 3 numbers each
     faces, uv_faces = array("q"), array("q")  # 3 corners a triangle
     begun: list[tuple[int, str, str]] = []

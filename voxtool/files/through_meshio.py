@@ -156,11 +156,18 @@ class _Text(_Ending, io.TextIOWrapper):
 
 
 class _Abaqus(_Text):
-    """An Abaqus file that fails where it names another file."""
+    """An Abaqus file that fails where it names another file, without its sets, for each of which
+    meshio would go through all elements."""
 
     def readline(self, *args: Any) -> Any:
         """The next line."""
         line = super().readline(*args)
+        if line.startswith("*") and not line.startswith("**"):
+            keyword, *words = line.split(",")
+            if keyword.strip().upper() in ("*NSET", "*ELSET"):
+                return "**\n"
+            kept = (word for word in words if not word.strip().upper().startswith("ELSET"))
+            line = ",".join((keyword, *kept)).rstrip("\r\n") + "\n"
         if not line.startswith("**"):
             words = "".join(line.upper().split()).replace("*", "")
             if words.partition(",")[0] == "INCLUDE" or "INPUT=" in words:
