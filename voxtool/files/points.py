@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 import numpy as np
 
 from voxtool.arrays import float64
-from voxtool.errors import FileError, count_of, printable
+from voxtool.errors import FileError, MemoryLimitError, count_of, printable
 from voxtool.files import ply
 from voxtool.files.formats import MESH_EXTENSIONS
 from voxtool.files.ply import LINE_LIMIT
@@ -74,8 +74,8 @@ def read_points(
                     yield from READERS[format](file, size, block)
                 else:
                     yield from _read_text(file, format, block)
-            except FileError as error:
-                raise FileError(f"{name}: {error}") from error
+            except (FileError, MemoryLimitError) as error:
+                raise type(error)(f"{name}: {error}") from error
     except OSError as error:
         raise read_error(name, error) from error
 
