@@ -7,11 +7,21 @@ all planes of its faces, and in a torus if the ray from it crosses an odd number
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import meshes
 import numpy as np
 
+from voxtool.distances import plan_distance, plan_field
+from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
+from voxtool.svo.image import VoxelImage
+from voxtool.svo.voxelize import voxelize
+
+if TYPE_CHECKING:
+    from voxtool.opencl import Device
+
+POINTS = 300
 
 
 @dataclass(frozen=True)
@@ -111,3 +121,28 @@ def random_scene(rng: np.random.Generator) -> Scene:
             part = Part(part.vertices, part.faces[:, ::-1], part.convex, part.inverted)
         parts.append(part)
     return Scene(parts)
+
+
+def _set_voxels(mesh: Mesh, grid: Grid, device: Device) -> np.ndarray:
+    octree = voxelize(mesh, grid, device=device)
+    return np.concatenate(list(VoxelImage.of(octree).slabs()))
+
+
+def check_scene(scene: Scene, seed: int, device: Device, *, field: bool) -> None:
+    """Compare distances, voxels and a field with the oracle; voxels farther than rounding."""
+    mesh, rng = scene.mesh, np.random.default_rng(seed)
+    measure = plan_distance(mesh, device=device).run()
+    low, high = mesh.bounds
+    points = rng.uniform(low - 0.1, high + 0.1, (POINTS, 3))
+    assert np.array_equal(measure(points) < 0, scene.inside(points))
+    grid = Grid.fit(mesh, 20)
+    cells = rng.integers(grid.shape, size=(4 * POINTS, 3))
+    centres = grid.to_world(cells + 0.5)
+    clear = np.abs(measure(centres)) > grid.pitch[0] / 100
+    found = _set_voxels(mesh, grid, device)[tuple(cells.T)]
+    assert np.array_equal(found[clear], scene.inside(centres)[clear])
+    if field:
+        built = plan_field(mesh, max_level=5, measure=False, device=device).run()
+        distances = built.query(points).distance
+        far = np.abs(measure(points)) > built.side / 32
+        assert np.array_equal(distances[far] < 0, scene.inside(points)[far])

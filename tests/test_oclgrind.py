@@ -53,7 +53,7 @@ from voxtool.mesh.joining import join
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.parts import find_parts
 from voxtool.mesh.topology import check_surface, closed_chain
-from voxtool.opencl import Device, builder, open_device, primitives, program
+from voxtool.opencl import Device, open_device, primitives, program
 from voxtool.selftest import arithmetic, crowds, volumes
 from voxtool.spatial import signed_distance
 from voxtool.spatial.bvh import build_tree
@@ -249,7 +249,6 @@ def main() -> None:
         return record
 
     Device.kernel = recorded
-    builder.THREADS = 0  # Oclgrind crashes now and then when it compiles in another thread
     use_primitives(open_device())
     scan_by_small_groups()
     device = open_device()

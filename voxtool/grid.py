@@ -29,6 +29,7 @@ FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bi
 DEFAULT_MARGIN = 4
 IGNORED = 1 / 512  # of a voxel that a mesh reaches beyond a grid: it is rounded off
 MOST = 1e90  # extent; volumes are in the range of float64
+MOVE = "move the mesh to the origin"
 LEAST_PITCH = 1e-95  # of an extent of 1 / MOST
 
 
@@ -186,6 +187,11 @@ class Grid:
             "pitch": [v.hex() for v in self.pitch],
         }
 
+    def check_resolution(self) -> None:
+        """Raise GridError if rounding of its coordinates exceeds a quarter of a voxel."""
+        low, pitch = np.array(self.origin), np.array(self.pitch)
+        _check_resolution(low, low + pitch * self.shape, pitch, "place it nearer to the origin")
+
     def window(self, low: Sequence[int], shape: Sequence[int]) -> Grid:
         """Return the grid of the voxels [low, low + shape) of this grid."""
         origin = (o + p * int(n) for o, p, n in zip(self.origin, self.pitch, low, strict=True))
@@ -306,13 +312,15 @@ def _on_lattice(lattice: Grid, low: np.ndarray, high: np.ndarray, margin: int | 
     return lattice.window((first - margin).astype(np.int64).tolist(), shape.tolist())
 
 
-def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: np.ndarray) -> None:
+def _check_resolution(
+    low: np.ndarray, high: np.ndarray, pitch: np.ndarray, instead: str = MOVE
+) -> None:
     """Raise GridError if rounding at these coordinates exceeds a quarter of a voxel."""
     farthest = np.maximum(np.abs(low), np.abs(high))
     if (pitch < 4 * np.spacing(farthest)).any():
         raise GridError(
             f"voxels of {min(pitch):g} are too small for floating point at coordinate "
-            f"{farthest.max():g}: move the mesh to the origin, or choose larger voxels"
+            f"{farthest.max():g}: {instead}, or choose larger voxels"
         )
 
 

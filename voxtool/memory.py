@@ -4,17 +4,38 @@ from __future__ import annotations
 
 import os
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 from voxtool import limits
 from voxtool.errors import FileError, MemoryLimitError, human
 
+_allowed: ContextVar[int | None] = ContextVar("allowed memory", default=None)
+
 
 def available_memory() -> int:
     """Bytes of memory that this process can still take: what the machine has free, within the
-    limits of its control groups and of `ulimit -v`; at most 2**60."""
-    return min(_free_memory(), limits.group_memory(), limits.address_space())
+    limits of its control groups, of `ulimit -v` and of `at_most`; at most 2**60."""
+    free = min(_free_memory(), limits.group_memory(), limits.address_space())
+    most = allowed_memory()
+    return free if most is None else min(free, most)
+
+
+def allowed_memory() -> int | None:
+    """Bytes that `at_most` allows here; None outside of it."""
+    return _allowed.get()
+
+
+@contextmanager
+def at_most(most: int | None) -> Iterator[None]:
+    """Let each request of this block take at most so many bytes, if a number is given."""
+    token = _allowed.set(most)
+    try:
+        yield
+    finally:
+        _allowed.reset(token)
 
 
 def _free_memory() -> int:

@@ -87,7 +87,7 @@ def test_pynrrd_files_are_imported(encoding: str, endian: str, tmp_path: Path) -
         (b"encoding: gzip", b"encoding: gzip\nline skip: 2", "save it without"),
         (b"encoding: gzip", b"encoding", "a header line that is no field"),
         (b"(1.0,0.0,0.0)", b"(1.0,0.5,0.0)", "oblique"),
-        (b"(1.0,0.0,0.0)", b"(1.0,0.5", "is damaged|three directions"),
+        (b"(1.0,0.0,0.0)", b"(1.0,0.5", "is no number"),
     ],
 )
 def test_damaged_files(old: bytes, new: bytes, message: str, tmp_path: Path) -> None:

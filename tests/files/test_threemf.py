@@ -147,7 +147,7 @@ def test_components_of_another_part_of_the_archive() -> None:
         (rb"</model>", b"", r"3dmodel.model: not readable as XML: no element found"),
         (rb"<model", b"<!DOCTYPE a [<!ENTITY b 'c'>]><model", "line 2: a DOCTYPE, which 3MF"),
         (rb'unit="millimeter"', b'unit="mile"', "unit mile is unknown: 3MF has micron, "),
-        (rb'<vertex x="1', b'<vertex x="z', "could not convert string to float: 'z"),
+        (rb'<vertex x="1', b'<vertex x="z', "'z.000000' is no number"),
         (rb'<vertex x="0[^"]*"', b"<vertex", "attribute 'x' is missing"),
         (rb'v1="0"', b'v1="99"', "face 0 names vertex 99 where there are 8"),
         (rb'v1="0"', b'v1="-1"', "names vertex -1"),
@@ -193,3 +193,26 @@ def test_bombs_are_refused_before_memory_is_taken() -> None:
     )  # fmt: skip
     with pytest.raises(MemoryLimitError, match="its meshes"):
         voxtool.load_mesh(io.BytesIO(many), "3mf")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (rb"</build>", b'<item objectid="1"/>' * 101 + b"</build>", "more than 100 items"),
+        (
+            rb"</resources>",
+            b"".join(b'<object id="%d"/>' % n for n in range(9, 120)) + b"</resources>",
+            "more than 100 objects",
+        ),
+        (rb"<resources>", b"<resources>" + b"<x>" * 70, "inside more than 64 others"),
+        (rb"<resources>", b'<resources a="' + b"1" * 2_000_000 + b'">', "a tag of more than 1 MiB"),
+        (rb'<vertex x="1', b'<vertex x="1_1', "is no number"),
+        (rb'v1="0"', b'v1="0.5"', "'0.5' is no whole number"),
+    ],
+)
+def test_many_elements_and_odd_numbers(
+    old: bytes, new: bytes, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(threemf, "MOST_OBJECTS", 100)
+    with pytest.raises(MeshError, match=message):
+        voxtool.load_mesh(io.BytesIO(changed(scene(), (old, new))), "3mf")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from itertools import permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -191,7 +192,7 @@ SHAPE = chunk(b"nSHP", 1, 0, 1, 0, 0)
                  chunk(b"nSHP", 3, 0, 1, 0, 0)), "node 2 is in it twice"),
         (file_of(SMALL, transform(0, 1), chunk(b"nSHP", 1, 0, 1, 5, 0)), "shows model 5 of 1"),
         (file_of(SMALL, transform(0, 1, r="5"), SHAPE), "rotation 5 is no rotation"),
-        (file_of(SMALL, transform(0, 1, r="x"), SHAPE), "is damaged"),
+        (file_of(SMALL, transform(0, 1, r="x"), SHAPE), "'x' is no whole number"),
         (file_of(SMALL, transform(0, 1, t="1 2"), SHAPE), "a translation is no three numbers"),
         (file_of(SMALL, transform(0, 1, t="1 2 9999999999"), SHAPE), "no three numbers"),
         (file_of(SMALL, chunk(b"nTRN", 0, 1, 99)), "a text is longer than its chunk"),
@@ -208,6 +209,26 @@ def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:
 
 
 # ---- palettes
+
+
+@pytest.mark.parametrize("axes", permutations(range(3)))
+def test_models_of_few_voxels(
+    axes: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One by one or as a box: the same voxels, whichever way the model is turned."""
+    values = np.zeros((9, 20, 13), np.uint8)
+    rng = np.random.default_rng(axes[0])
+    values[tuple(rng.integers(0, values.shape, (12, 3)).T)] = rng.integers(1, 255, 12)
+    for signs in product((0, 1), repeat=3):
+        turn = axes[0] | axes[1] << 2 | sum(bit << 4 + n for n, bit in enumerate(signs))
+        scene = file_of(model(values), transform(0, 1, r=str(turn), t="4 -3 2"), SHAPE)
+        (tmp_path / "a.vox").write_bytes(scene)
+        found = []
+        for sparse in (1, 10**9):
+            monkeypatch.setattr(vox, "SPARSE", sparse)
+            found.append(voxtool.read_voxels(tmp_path / "a.vox", threshold=100))
+        assert found[0] == found[1]
+        assert found[0].count == np.count_nonzero(values >= 100)
 
 
 def coloured(count: int, side: int = 40) -> voxtool.Octree:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from helpers_octree import ball
 
 import voxtool
 from voxtool.errors import FileError
+from voxtool.files.imports import Source
 
 DENSE = ball((21, 16, 9))
 PLACE = {"origin": (-1.5, 0.1, 1e-3), "pitch": (0.1, 0.3, 0.7)}
@@ -61,6 +63,44 @@ def test_vtk_files_are_imported(
     octree = voxtool.read_voxels(path)
     assert np.array_equal(octree.to_dense(), DENSE)
     assert octree.grid == voxtool.Grid(DENSE.shape, (0.5, 0.25, 2), (0.5, 0.25, 2))
+
+
+def stored_values(path: Path) -> np.ndarray:
+    """Return the values of a row of voxels as they are stored."""
+    with Source.of(path).stored() as stored:
+        parts = [piece.values.ravel() for piece in stored.pieces]
+        return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("compressor", ["None", "ZLib", "LZ4", "LZMA"])
+@pytest.mark.parametrize(
+    ("mode", "raw"), [("ascii", False), ("binary", False), ("appended", False), ("appended", True)]
+)
+@pytest.mark.parametrize("dtype", ["u1", "f8", "i8"])
+def test_every_file_of_vtk_is_read_exactly(
+    dtype: str, mode: str, raw: bool, compressor: str, tmp_path: Path
+) -> None:
+    """Sizes about one and two blocks, headers of both types, both orders of bytes; the default
+    block, 32 kB, is larger than all of these arrays."""
+    xml, rng = pytest.importorskip("vtkmodules.vtkIOXML"), np.random.default_rng(3)
+    block = 1024 // np.dtype(dtype).itemsize
+    for count in (8, block - 1, block, block + 1, 2 * block, 2 * block + 1):
+        values = rng.integers(0, 200, count).astype(dtype)
+        if dtype == "i8":
+            values = rng.integers(-(2**62), 2**62, count) | 1
+        image = vtk_image(values.reshape(-1, 1, 1))
+        for header, order, size in product((32, 64), (0, 1), (1024, 1 << 15)):
+            writer = xml.vtkXMLImageDataWriter()
+            writer.SetInputData(image)
+            writer.SetFileName(str(tmp_path / "a.vti"))
+            getattr(writer, f"SetDataModeTo{mode.capitalize()}")()
+            getattr(writer, f"SetCompressorTypeTo{compressor}")()
+            getattr(writer, f"SetHeaderTypeToUInt{header}")()
+            writer.SetEncodeAppendedData(not raw)
+            writer.SetByteOrder(order)
+            writer.SetBlockSize(size)
+            writer.Write()
+            assert np.array_equal(stored_values(tmp_path / "a.vti"), values)
 
 
 def test_points_are_centres_of_voxels(tmp_path: Path) -> None:
@@ -114,9 +154,11 @@ def test_vtk_reads_exports(level: int, dtype: str, tmp_path: Path) -> None:
         (b"</Piece>", b"</Piece><Piece/>", "expected 6 numbers"),
         (b'0 21 0 16 0 9" Or', b'0 60000 0 60000 0 9" Or', "not the whole image"),
         (b"0 21 0 16 0 9", b"0 60000 0 60000 0 9", "its array needs 32.4 GB"),
-        (b"LittleEndian", b'LittleEndian" compressor="vtkLZ4', "is packed by vtkLZ4"),
+        (b"LittleEndian", b'LittleEndian" compressor="vtkLZ5', "is packed by vtkLZ5"),
         (b'offset="0"', b'offset="99"', "it ends before its array"),
         (b"<VTKFile", b"<<VTKFile", "is no XML"),
+        (b"<CellData", b"<x>" * 99 + b"<CellData", "elements inside more than 64"),
+        (b"<CellData", b'<x a="' + b"1" * 2_000_000 + b'"/><CellData', "a tag of more than 1 MiB"),
     ],
 )
 def test_damaged_files(old: bytes, new: bytes, message: str, tmp_path: Path) -> None:

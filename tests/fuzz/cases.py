@@ -12,11 +12,16 @@ from dataclasses import dataclass
 
 import click
 
+from .lies import lying
 from .looks import FORMATS as LOOKS
+from .looks import OCTREES as LOOKING
 from .mutate import mutant, split
-from .samples import FORMATS
+from .samples import FIELDS, FORMATS, OCTREES, VOLUMES
 
-KINDS = ("files", "looks", "arguments")  # looks: files with an appearance alone
+# looks: files with an appearance alone; lies: own files whose parts fit each other
+KINDS = ("files", "looks", "lies", "arguments")
+OWN = (*OCTREES, *FIELDS, *VOLUMES, *LOOKING)
+LYING = tuple(name for name in OWN if name.endswith(".h5"))
 ODD_NAMES = ("new\nline", os.fsdecode(b"\xff"), "a b'c\"", "\u202e\u0661", "-x", "x" * 200)
 
 
@@ -49,6 +54,9 @@ def case_of(kind: str, seed: int, number: int, samples: dict[str, bytes]) -> Cas
     rng = random.Random(f"{kind} {seed} {number}")
     if kind == "arguments":
         return Case(number, words=tuple(random_words(rng)))
+    if kind == "lies":
+        format = rng.choice(LYING)
+        return Case(number, f"lie.{format}", format, lying(samples[format], rng))
     format = rng.choice(LOOKS if kind == "looks" else FORMATS)
     known = 0.97 if kind == "looks" else 0.8  # whose readers other damage hardly reaches
     content = mutant(format, samples[format], rng, list(samples.values()), known)

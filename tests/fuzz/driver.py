@@ -61,12 +61,12 @@ class Session:
 
     def run(self, kind: str, start: int, seconds: float, most: int | None = None) -> int:
         """Try the cases from number `start` on, for a time or a count; return the next number."""
-        end = time.monotonic() + seconds
         numbers = iter(itertools.count(start) if most is None else range(start, start + most))
         tried: list[int] = []
 
         def work() -> None:
             worker = self._worker()
+            end = time.monotonic() + seconds
             try:
                 while time.monotonic() < end and (batch := self._batch(numbers)):
                     findings = worker.ask_all([(kind, self.seed, number) for number in batch])

@@ -52,8 +52,10 @@ class Tools:
     volume: Any = None
     findings: list[Finding] = field(default_factory=list)
     deepest: Any = ()  # the frames of the last error
+    folder: Path = Path()  # of the samples
 
     def load(self, folder: Path) -> None:
+        self.folder = folder
         self.mesh = voxtool.load_mesh(folder / "a.obj")
         self.distances = voxtool.read_adf(folder / "a.adf.h5")
         self.volume = voxtool.read_tet(folder / "a.raycast.tet.h5")

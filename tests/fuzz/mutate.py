@@ -68,7 +68,9 @@ def changes_for(format: str, data: bytes) -> list[Change]:
     if format.endswith("glb"):
         return [change_glb, change_glb, change_glb_data, change_binary, change_png]
     if format.endswith(("3mf", "image.ome.zarr", "look.obj")):
-        return [change_zip, change_zip, change_zip, change_zip, change_binary]
+        return [change_zip, change_zip, change_zip, change_zip, change_binary, change_zip_heads]
+    if format.endswith("npz"):
+        return [change_binary, change_zip_heads]
     if b"\0" in data or format.endswith((".gz", "npz", "npy")):
         return [change_binary, change_numbers, change_lines]
     return [change_numbers, change_numbers, change_lines]
@@ -256,6 +258,22 @@ def change_zip(data: bytes, rng: random.Random) -> bytes:
     except Exception:  # another change damaged it before
         return change_bytes(data, rng)
     return out.getvalue()
+
+
+def change_zip_heads(data: bytes, rng: random.Random) -> bytes:
+    """The flags, the method, the sizes or the check of an entry changed, in one or both places."""
+    starts = [found.start() for found in re.finditer(re.escape(b"PK\1\2"), data)]
+    if not starts:
+        return change_bytes(data, rng)
+    central, changed = rng.choice(starts), bytearray(data)
+    (local,) = struct.unpack_from("<I", data.ljust(central + 46, b"\0"), central + 42)
+    kind, place = rng.choice((("<H", 8), ("<H", 8), ("<H", 10), ("<I", 16), ("<I", 20), ("<I", 24)))
+    values = (1, 0x20, 0x40, 0x2000, 8, 9, 12, 14, 93, 98, 0, 0xFFFF) if kind == "<H" else INTEGERS
+    value = rng.choice(values) % (1 << 8 * struct.calcsize(kind))
+    for at in rng.choice(((central + place,), (central + place, local + place - 2))):
+        if at + 4 <= len(changed):
+            struct.pack_into(kind, changed, at, value)
+    return bytes(changed)
 
 
 def _changes_inside(name: str, text: bytes) -> list[Change]:

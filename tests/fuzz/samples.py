@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import gzip
 import io
@@ -32,8 +33,11 @@ MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "ob
 CELLS = ("vtu", "text.vtu", "vtk", "text.vtk", "msh", "text.msh", "old.msh", "mesh", "inp",
          "ucd.inp", "exo", "e")  # fmt: skip
 POINTS = ("npy", "columns.npy", "npz", "packed.npz", "csv", "xyz", "points.ply", "text.points.ply")
-IMAGES = tuple(
-    f"image.{name}" for name, format in EXCHANGE.items() if format.reads and not format.folder
+PACKED = ("text.image.vti", "lzma.image.vti", "lz4.image.vti", "text.image.nrrd", "bz2.image.nrrd",
+          "lzma.image.npz")  # fmt: skip
+IMAGES = (
+    *(f"image.{name}" for name, format in EXCHANGE.items() if format.reads and not format.folder),
+    *PACKED,
 )
 FOLDERS = tuple(  # their samples are archives of what is in them
     f"image.{name}" for name, format in EXCHANGE.items() if format.reads and format.folder
@@ -67,8 +71,9 @@ def write_all(folder: Path, device: Any) -> None:
     for kind in OCTREES:
         content = voxtool.MergedOctree.of(octree) if kind.startswith("merged") else octree
         voxtool.write_svo(content, folder / f"a.{kind}")
-    for kind in IMAGES:
+    for kind in (kind for kind in IMAGES if kind not in PACKED):
         voxtool.export(octree, folder / f"a.{kind}")
+    write_packed(folder, octree.to_dense().astype(np.uint8))
     for kind in FOLDERS:
         with tempfile.TemporaryDirectory() as inside:
             voxtool.export(octree, Path(inside) / f"a.{kind}")
@@ -91,6 +96,35 @@ def write_all(folder: Path, device: Any) -> None:
     (folder / "a.report.json").write_text(report(folder / "a.obj", device))
     write_cells(folder)
     write_points(folder, vertices)
+
+
+def write_packed(folder: Path, values: np.ndarray) -> None:
+    """Images as other programs write them: as text, and packed by other means."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonDataModel import vtkImageData
+    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
+
+    flat = values.ravel(order="F")
+    image = vtkImageData()
+    image.SetExtent(*(end for n in values.shape for end in (0, n)))
+    image.GetCellData().SetScalars(numpy_to_vtk(flat, deep=True))
+    for kind in PACKED[:3]:
+        writer = vtkXMLImageDataWriter()
+        writer.SetInputData(image)
+        writer.SetFileName(str(folder / f"a.{kind}"))
+        if kind.startswith("text"):
+            writer.SetDataModeToAscii()
+        (writer.SetCompressorTypeToLZMA if "lzma" in kind else writer.SetCompressorTypeToLZ4)()
+        writer.Write()
+    head = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: {} {} {}\nencoding: {}\n\n"
+    text = " ".join(map(str, flat.tolist())).encode()
+    for kind, data in (("ascii", text), ("bzip2", bz2.compress(flat.tobytes()))):
+        name = "text.image.nrrd" if kind == "ascii" else "bz2.image.nrrd"
+        (folder / f"a.{name}").write_bytes(head.format(*values.shape, kind).encode() + data)
+    with zipfile.ZipFile(folder / "a.lzma.image.npz", "w") as packed:
+        array = io.BytesIO()
+        np.save(array, values)
+        packed.writestr(zipfile.ZipInfo("a.npy"), array.getvalue(), zipfile.ZIP_LZMA)
 
 
 def archive_of(folder: Path) -> bytes:

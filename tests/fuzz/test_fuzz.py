@@ -13,7 +13,7 @@ from .driver import Session
 from .worker import Worker
 
 # how many, and the place of the driver
-CASES = {"files": (80, 0), "looks": (60, 0), "arguments": (40, -1)}
+CASES = {"files": (80, 0), "looks": (60, 0), "lies": (60, -1), "arguments": (40, -1)}
 
 
 @pytest.mark.slow

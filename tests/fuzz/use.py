@@ -130,6 +130,63 @@ def use_octree(octree: Any, tools: Tools, rng: random.Random) -> None:
         voxtool.render(octree, size=(16, 16), device=tools.device)
 
 
+def combine(octree: Any, tools: Tools, rng: random.Random) -> None:
+    operation = rng.choice(("union", "intersection", "difference", "xor"))
+    other = rng.choice((octree, voxtool.read_svo(tools.folder / "a.svo.h5")))
+    voxtool.combine((octree, other), operation, device=tools.device).validate()
+
+
+def change(octree: Any, tools: Tools, rng: random.Random) -> None:
+    match rng.randrange(4):
+        case 0:
+            operation = rng.choice(("dilate", "erode", "open", "close"))
+            voxtool.morph(octree, operation, rng.choice((1, 2.5)), device=tools.device).validate()
+        case 1:
+            voxtool.resample(octree, dim=rng.choice((8, 23)), device=tools.device).validate()
+        case 2:
+            voxtool.thin(octree).validate()
+        case _:
+            voxtool.components(octree, rng.choice((6, 26)))
+
+
+def ask(octree: Any, tools: Tools, rng: random.Random) -> None:
+    names = tuple(one.name for one in getattr(octree, "attributes", ()))
+    voxtool.query_svo(octree, POINTS, attributes=names, device=tools.device)
+    more = {"nearest": True} if rng.random() < 0.5 else {"level": rng.choice((0, 1, 2))}
+    voxtool.query_svo(octree, POINTS[:4], device=tools.device, **more)
+
+
+def keep(octree: Any, tools: Tools, rng: random.Random) -> None:
+    """Write it in every form, and read it back: the same."""
+    kind = rng.choice(("svo.h5", "merged", "vti", "nii.gz", "vox", "vdb", "vtkhdf", "npz"))
+    if kind == "svo.h5" or isinstance(octree, voxtool.MergedOctree):
+        voxtool.write_svo(octree, "out.svo.h5")
+        assert voxtool.read_svo("out.svo.h5").digest() == octree.digest()
+    elif kind == "merged":
+        merged = voxtool.MergedOctree.of(octree)
+        merged.validate()
+    else:
+        voxtool.export(octree, f"out.{kind}")
+
+
+def use_distances(field: Any, tools: Tools, rng: random.Random) -> None:
+    match rng.randrange(3):
+        case 0:
+            voxtool.extract(field, device=tools.device)
+        case 1:
+            voxtool.export(field, f"out.{rng.choice(('vdb', 'nrrd', 'npy', 'vti'))}", shape=9)
+        case _:
+            voxtool.write_adf(field, "out.adf.h5")
+            assert voxtool.read_adf("out.adf.h5").digest() == field.digest()
+
+
+def keep_volume(volume: Any, tools: Tools, rng: random.Random) -> None:
+    if rng.random() < 0.5:
+        voxtool.export(volume, f"out.{rng.choice(('vtu', 'vtkhdf'))}")
+    voxtool.write_tet(volume, "out.tet.h5")
+    assert voxtool.read_tet("out.tet.h5").digest() == volume.digest()
+
+
 def use_field(field: Any, tools: Tools, rng: random.Random) -> None:
     field.validate()
     field.digest(), field.summary()
@@ -231,12 +288,15 @@ def read_all_points(name: str) -> np.ndarray:
 
 Use = Callable[[Any, Tools, random.Random], None]
 WAYS: dict[tuple[str, ...], tuple[Callable[[str], Any], list[Use]]] = {
-    samples.OCTREES: (voxtool.read_svo, [use_octree]),
-    samples.FIELDS: (voxtool.read_adf, [use_field]),
-    samples.VOLUMES: (voxtool.read_tet, [use_volume]),
+    samples.OCTREES: (voxtool.read_svo, [use_octree, combine, change, ask, keep]),
+    samples.FIELDS: (voxtool.read_adf, [use_field, use_distances]),
+    samples.VOLUMES: (voxtool.read_tet, [use_volume, keep_volume]),
     samples.MESHES: (voxtool.load_mesh, [voxelize, measure, build_field, write_mesh]),
     looks.MESHES: (read_look, [paint, label, write_mesh]),
-    looks.OCTREES: (voxtool.read_svo, [use_octree, surfaces_of, export]),
+    looks.OCTREES: (
+        voxtool.read_svo,
+        [use_octree, surfaces_of, export, combine, change, ask, keep],
+    ),
     samples.CELLS: (read_cells, [build_volume]),
     samples.POINTS: (read_all_points, [query]),
     (*samples.IMAGES, *samples.FOLDERS): (voxtool.read_voxels, [use_octree]),

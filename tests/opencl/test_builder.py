@@ -45,6 +45,15 @@ def test_a_program_that_fails_in_the_background_fails_where_it_is_used(device: D
     assert out.get().tolist() == [7]
 
 
+def test_oclgrind_compiles_alone() -> None:
+    """Its compiler crashes if several threads use it."""
+    one = builder.Builder(None, None, builder.ALONE)
+    before = threading.active_count()
+    one.prepare([(SOURCE, {"NUMBER": n}) for n in range(3)])
+    assert threading.active_count() == before
+    assert not one.requests
+
+
 def test_time_in_which_two_programs_compile_counts_once(monkeypatch) -> None:
     kept = Path("/cache/a.bin")
     done = [Compilation(3.0, 3.5, 1, kept), Compilation(0.0, 1.0, 2, kept)]

@@ -8,21 +8,18 @@ from typing import TYPE_CHECKING
 import meshes
 import numpy as np
 import pytest
-from helpers_parts import Scene, random_scene
+from helpers_parts import check_scene, random_scene
 
 import voxtool
 from voxtool.distances import plan_distance, plan_field
 from voxtool.grid import Grid
 from voxtool.repairing.job import plan_repair
 from voxtool.spatial.fill_rule import inside_of_closed
-from voxtool.svo.image import VoxelImage
 from voxtool.svo.voxelize import plan_voxelize, voxelize
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-
-POINTS = 300
 
 
 def boxes(*parts: tuple[float, float, bool]) -> Mesh:
@@ -34,35 +31,10 @@ def boxes(*parts: tuple[float, float, bool]) -> Mesh:
     return meshes.mesh_of(*meshes.join(*found))
 
 
-def set_voxels(mesh: Mesh, grid: Grid, device: Device) -> np.ndarray:
-    octree = voxelize(mesh, grid, device=device)
-    return np.concatenate(list(VoxelImage.of(octree).slabs()))
-
-
-def check(scene: Scene, seed: int, device: Device, *, field: bool) -> None:
-    """Compare distances, voxels and a field with the oracle; voxels farther than rounding."""
-    mesh, rng = scene.mesh, np.random.default_rng(seed)
-    measure = plan_distance(mesh, device=device).run()
-    low, high = mesh.bounds
-    points = rng.uniform(low - 0.1, high + 0.1, (POINTS, 3))
-    assert np.array_equal(measure(points) < 0, scene.inside(points))
-    grid = Grid.fit(mesh, 20)
-    cells = rng.integers(grid.shape, size=(4 * POINTS, 3))
-    centres = grid.to_world(cells + 0.5)
-    clear = np.abs(measure(centres)) > grid.pitch[0] / 100
-    found = set_voxels(mesh, grid, device)[tuple(cells.T)]
-    assert np.array_equal(found[clear], scene.inside(centres)[clear])
-    if field:
-        built = plan_field(mesh, max_level=5, measure=False, device=device).run()
-        distances = built.query(points).distance
-        far = np.abs(measure(points)) > built.side / 32
-        assert np.array_equal(distances[far] < 0, scene.inside(points)[far])
-
-
 @pytest.mark.parametrize("block", range(5))
 def test_random_scenes_are_the_union_of_their_parts(block: int, device: Device) -> None:
     for seed in range(40 * block, 40 * (block + 1)):
-        check(random_scene(np.random.default_rng(seed)), seed, device, field=seed % 20 == 0)
+        check_scene(random_scene(np.random.default_rng(seed)), seed, device, field=seed % 20 == 0)
 
 
 CUBE, LARGE = (1.0, 0.0, False), (2.0, 0.0, False)

@@ -8,7 +8,7 @@ import click
 
 from voxtool.choices import OCTREE_MODES
 from voxtool.cli import options, runner
-from voxtool.cli.options import flag, option, together
+from voxtool.cli.options import Parsed, flag, option, together
 from voxtool.cli.placing import POINT, SPACING
 from voxtool.files.formats import ADF_FORMATS, IMPORTS, OCTREE_FORMATS, SVO_FORMATS
 
@@ -18,11 +18,22 @@ if TYPE_CHECKING:
 VOCCEL = "voccel.xml"
 
 
+def number_of(text: str) -> float:
+    """Return a number; a whole one as an int, which holds all labels of 64 bits."""
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+NUMBER = Parsed("float", number_of, " is not a valid float.")
+
+
 @click.command("import")
 @click.argument("file")
 @together(
-    option("--threshold", float, "Set what has this value or more.  [default: what is not 0]"),
-    option("--label", float, "Set what has this value alone."),
+    option("--threshold", NUMBER, "Set what has this value or more.  [default: what is not 0]"),
+    option("--label", NUMBER, "Set what has this value alone."),
     flag("--as-field", "Make a distance field: the values are signed distances, in world units."),
     option("--tolerance", float,
         "Of a field: error at which a cell is no longer refined, in sides of its cube.  "

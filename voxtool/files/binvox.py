@@ -13,6 +13,7 @@ from typing import BinaryIO
 import numpy as np
 
 from voxtool.errors import FileError, shown
+from voxtool.files.text_numbers import real
 from voxtool.files.voxels import Boxes, Frame, Stored, check_length
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
@@ -102,11 +103,12 @@ def read(file: BinaryIO, size: int) -> Stored:
             continue
         if name not in found or len(words) != len(found[name]):
             raise FileError(f"a header line that is unknown: {shown(line)}")
-        found[name] = [float(word) for word in words]
+        found[name] = [real(word) for word in words]
     (scale,) = found["scale"]
-    a, b, c = (int(n) for n in found["dim"])
-    if not a == b == c:
-        raise FileError(f"dim {a} {b} {c}: a .binvox is a cube")
+    a, b, c = found["dim"]
+    if not a == b == c or not a.is_integer():
+        raise FileError(f"dim {a:g} {b:g} {c:g}: a .binvox is a cube of whole voxels")
+    a = int(a)
     x, y, z = found["translate"]
     pitch = scale / max(a, 1)
     frame = Frame(Grid((a, a, a), (x, y, z), (pitch, pitch, pitch)), ORDER)

@@ -20,6 +20,7 @@ from voxtool.files.placement import (
     named,
     product,
 )
+from voxtool.memory import check_memory
 from voxtool.mesh.mesh import check_promised
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: 
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives; the others are points and lines
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+VALUE_BYTES = 100  # of memory for each value of JSON
 HEAD = 12  # bytes of a GLB before its chunks
 
 
@@ -47,7 +49,7 @@ def parse(
     """
     try:
         look = "appearance" in keep
-        tree = Tree(name, kind, data, companions, other_files=look)
+        tree = Tree(name, kind, data, companions, look, max_memory)
         _check_scene(name, tree.json, len(data), max_memory, look)
         return _scene(tree, keep, max_memory)
     except VoxtoolError:
@@ -64,12 +66,21 @@ class Tree:
     """The JSON of a glTF, and the arrays that it describes."""
 
     def __init__(
-        self, name: str, kind: str, data: bytes, companions: Companions, other_files: bool
+        self,
+        name: str,
+        kind: str,
+        data: bytes,
+        companions: Companions,
+        other_files: bool,
+        max_memory: int | None,
     ) -> None:
         self.name, self.companions, self.other_files = name, companions, other_files
         self.binary: bytes | None = None
         if kind == "glb":
             data, self.binary = _chunks(data)
+        values = sum(map(data.count, (b",", b"[", b"{")))
+        size = len(data) + VALUE_BYTES * values
+        check_memory(size, f"{name}: the values of its JSON", "split the scene", max_memory)
         self.json: dict[str, Any] = json.loads(data)
         for extension in self.json.get("extensionsRequired", []):
             if extension in PACKED:
@@ -294,4 +305,4 @@ def _check_scene(
 
     meshes = [sum(map(items, mesh["primitives"])) for mesh in tree.get("meshes", [])]
     placed = sum(meshes[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node)
-    check_placed(name, sum(counts) + sum(meshes) + placed, max_memory, look)
+    check_placed(name, sum(counts) + sum(meshes) + placed, size, max_memory, look)

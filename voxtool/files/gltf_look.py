@@ -25,7 +25,7 @@ class Looks:
         self.tree, self.pictures = tree, Pictures(max_memory)
         self.materials: list[Material] = []
         self.numbers: dict[tuple[int, bool], int] = {}
-        self.textures: dict[tuple[int, bool], Texture] = {}
+        self.textures: dict[tuple[int, bool, tuple[str, str], bool], Texture] = {}
 
     def of(
         self, primitive: dict[str, Any], corners: np.ndarray, points: int
@@ -95,26 +95,28 @@ class Looks:
         return self.numbers[key]
 
     def _texture(self, index: int, opaque: bool) -> Texture:
-        key = index, opaque
+        """Return a texture; those that show an image in the same way are one."""
+        described = self.tree.json["textures"][index]
+        if "source" not in described:
+            raise MeshError(
+                f"{self.tree.name}: texture {index} is no PNG or JPEG: export it with these"
+            )
+        sampler = {}
+        if "sampler" in described:
+            sampler = self.tree.json["samplers"][described["sampler"]]
+        wraps = WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)]
+        nearest = sampler.get("magFilter") == NEAREST
+        key = described["source"], opaque, wraps, nearest
         if key not in self.textures:
-            described = self.tree.json["textures"][index]
-            if "source" not in described:
-                raise MeshError(
-                    f"{self.tree.name}: texture {index} is no PNG or JPEG: export it with these"
-                )
-            sampler = {}
-            if "sampler" in described:
-                sampler = self.tree.json["samplers"][described["sampler"]]
-            pixels = self._pixels(described["source"])
+            pixels = self._read(described["source"])
             if opaque and (pixels[..., 3] != 255).any():
                 pixels = pixels.copy()
                 pixels[..., 3] = 255
-            wraps = WRAPS[sampler.get("wrapS", 10497)], WRAPS[sampler.get("wrapT", 10497)]
-            nearest = sampler.get("magFilter") == NEAREST
             self.textures[key] = Texture(pixels, wraps, "nearest" if nearest else "linear")
         return self.textures[key]
 
-    def _pixels(self, index: int) -> np.ndarray:
+    def _read(self, index: int) -> np.ndarray:
+        """Return the pixels of an image."""
         described = self.tree.json["images"][index]
         label = f"texture {str(described.get('name') or index)[:40]!r}"
         if "bufferView" in described:

@@ -45,7 +45,7 @@ from voxtool.files.streams import PathLike
 from voxtool.files.voxels import PIECE, Rule, Stored, array_of, octree_of
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
-from voxtool.memory import available_memory
+from voxtool.memory import at_most, available_memory
 from voxtool.opencl import Device
 from voxtool.svo.octree import Octree
 
@@ -255,6 +255,10 @@ class ImportJob(Job[Octree | DistanceField]):
             )
 
     def _run(self) -> Octree | DistanceField:
+        with at_most(self.max_memory):
+            return self._imported()
+
+    def _imported(self) -> Octree | DistanceField:
         plan, most = self.plan, self.max_memory
         with self.stage(READ), self.source.stored() as stored:
             stored = stored._replace(frame=stored.frame._replace(grid=plan.grid))
@@ -298,11 +302,12 @@ def plan_import(
         raise FileError(f".{source.name} does not become a field: choose one of {held}")
     tolerance = DEFAULT_TOLERANCE if tolerance is None else tolerance
     check_request(tolerance, max_level)
-    with source.stored() as stored:
+    with at_most(max_memory), source.stored() as stored:
         own = stored.frame.grid
         place = own.origin if origin is None else origin
         size = own.pitch if pitch is None else pitch
         placed = Grid(own.shape, place, size)  # pyright: ignore[reportArgumentType]
+        placed.check_resolution()
         rule = stored.rule if threshold is None and label is None else Rule(threshold, label)
     plan = ImportPlan(source.name, placed, stored.units, rule, as_field, tolerance, max_level)
     return ImportJob(plan, source, device if as_field else None, max_memory, progress)

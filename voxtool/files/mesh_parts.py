@@ -13,11 +13,9 @@ from dataclasses import replace
 from typing import IO, TYPE_CHECKING, BinaryIO
 from xml.sax.saxutils import quoteattr
 
-import numpy as np
-
 from voxtool.errors import FileError, printable
 from voxtool.files.glb import BYTES, Node, write_nodes
-from voxtool.files.mesh_writers import HEADER, check_float32, decimals_of
+from voxtool.files.mesh_writers import HEADER, check_float32, write_lines
 from voxtool.files.threemf import CORE, RELATION, RELATIONS, ROOT_MODEL, UNITS
 from voxtool.mesh.mesh import Mesh
 from voxtool.palette import palette
@@ -25,7 +23,6 @@ from voxtool.palette import palette
 if TYPE_CHECKING:
     from voxtool.svo.surface.labelled import LabelledSurface
 
-LINES = 1 << 16  # that become text at once
 MODEL, TYPES = "3D/3dmodel.model", "[Content_Types].xml"
 PACKAGE = "http://schemas.openxmlformats.org/package/2006/content-types"
 TYPES_XML = (
@@ -43,11 +40,10 @@ LINE_BYTES, MOST_TEXT = 80, 1 << 31  # of a triangle and its share of vertices; 
 def write_obj(surface: LabelledSurface, file: BinaryIO) -> None:
     """Write OBJ text: the vertices, then an object for each label."""
     file.write(f"# {HEADER}\n".encode())
-    places = decimals_of(Mesh(surface.vertices, surface.faces))
-    _write_lines(file, f"v %.{places}f %.{places}f %.{places}f\n", surface.vertices)
+    write_lines(file, "v %r %r %r\n", surface.vertices)
     for label in surface.labels:
         file.write(f"o {_name_of(surface, label)}\n".encode())
-        _write_lines(file, "f %d %d %d\n", surface.faces_of(label) + 1)
+        write_lines(file, "f %d %d %d\n", surface.faces_of(label) + 1)
 
 
 def write_glb(surface: LabelledSurface, file: BinaryIO, limit: int = BYTES) -> None:
@@ -74,9 +70,9 @@ def write_3mf(surface: LabelledSurface, file: BinaryIO) -> None:
 
 def _write_model(surface: LabelledSurface, file: IO[bytes], unit: str) -> None:
     """Write the XML of the model."""
-    places, labels = decimals_of(Mesh(surface.vertices, surface.faces)), surface.labels
+    labels = surface.labels
     colours, names = palette(max(len(surface.names), 1)), [_quoted(surface, n) for n in labels]
-    vertex = "<vertex " + " ".join(f'{axis}="%.{places}f"' for axis in "xyz") + "/>\n"
+    vertex = "<vertex " + " ".join(f'{axis}="%r"' for axis in "xyz") + "/>\n"
     base = "".join(
         f'<base name={name} displaycolor="#{bytes(colours[label]).hex().upper()}"/>'
         for label, name in zip(labels, names, strict=True)
@@ -87,9 +83,9 @@ def _write_model(surface: LabelledSurface, file: IO[bytes], unit: str) -> None:
         mesh = surface.mesh(label)
         own = f'<object id="{number + 2}" type="model" name={name} pid="1" pindex="{number}">'
         file.write(f"{own}<mesh><vertices>\n".encode())
-        _write_lines(file, vertex, mesh.vertices)
+        write_lines(file, vertex, mesh.vertices)
         file.write(b"</vertices><triangles>\n")
-        _write_lines(file, '<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces)
+        write_lines(file, '<triangle v1="%d" v2="%d" v3="%d"/>\n', mesh.faces)
         file.write(b"</triangles></mesh></object>")
     whole = len(labels) + 2
     parts = "".join(f'<component objectid="{n}"/>' for n in range(2, whole))
@@ -105,10 +101,3 @@ def _quoted(surface: LabelledSurface, label: int) -> str:
 def _name_of(surface: LabelledSurface, label: int) -> str:
     """Return the name of a label on one line; that of a label without one is its number."""
     return printable(surface.names[label]).strip() or f"label {label}"
-
-
-def _write_lines(file: IO[bytes], line: str, rows: np.ndarray) -> None:
-    """Write a line for each row of numbers."""
-    for first in range(0, len(rows), LINES):
-        part = rows[first : first + LINES]
-        file.write((line * len(part) % tuple(part.ravel().tolist())).encode())

@@ -1,19 +1,16 @@
-"""Triangle meshes as OBJ, PLY, STL, GLB and OFF, through trimesh.
+"""Triangle meshes as OBJ and OFF, which are text, and through trimesh as PLY, STL and GLB.
 
-Nothing is welded or moved; materials and textures are not written. OBJ and OFF are text: a
-coordinate that is at least a tenth of the largest is read back bit for bit, others within 1e-17 of
-the largest and 1e-9 of the mesh's longest side; normals within 1e-9. PLY, STL and GLB hold float32,
-1 part in 1.6e7 of a coordinate; a mesh is refused if that moves vertices by more than a thousandth
-of its longest side. STL repeats the corners of every face. The unit of GLB is the metre. The bytes
-depend only on the mesh and the version of trimesh: face normals and unit vectors, which trimesh
-computes through BLAS, are computed here or left out.
+Nothing is welded or moved; materials and textures are not written. Numbers of text are read back
+bit for bit. PLY, STL and GLB hold float32, 1 part in 1.6e7 of a coordinate; a mesh is refused if
+that moves vertices by more than a thousandth of its longest side. STL repeats the corners of every
+face. The unit of GLB is the metre. The bytes depend only on the mesh and the version of trimesh:
+face normals and unit vectors, which trimesh computes through BLAS, are computed here or left out.
 """
 
 from __future__ import annotations
 
-from decimal import Decimal
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import IO, TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 import trimesh
@@ -21,7 +18,6 @@ from trimesh.exchange.stl import export_stl
 
 from voxtool.errors import FileError, MeshError
 from voxtool.files.glb import BYTES, Node, write_nodes
-from voxtool.memory import check_memory
 from voxtool.mesh import srgb
 from voxtool.vector import cross, length
 from voxtool.version import __version__
@@ -32,7 +28,7 @@ if TYPE_CHECKING:
 
 BAD_VERTEX = "vertex {} is not finite: remove it or give it a position"
 HEADER = f"voxtool {__version__}"
-TEXT_MEMORY = 250  # bytes of memory a face or vertex while trimesh formats it, as measured
+LINES = 1 << 16  # that become text at once
 PLY_HEADER = """ply
 format binary_little_endian 1.0
 comment https://github.com/mikedh/trimesh
@@ -48,37 +44,36 @@ PLY_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 LEAST_CELLS = 1000  # float32 must resolve the longest side divided by this
 
 
-def write_obj(
-    mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, text_memory: int = TEXT_MEMORY
-) -> None:
-    """Write OBJ text, with as many decimals as the mesh needs; colours of vertices behind their
-    coordinates, from 0 to 1 in sRGB, without opacity."""
-    given = _given(mesh, normals)
-    if not len(mesh.faces):  # for a mesh without faces, trimesh writes an empty "f"
-        given = cast("Any", trimesh.PointCloud(mesh.vertices))
-    if not len(mesh.vertices):
-        file.write(f"# {HEADER}\n".encode())
-        return
-    coloured = mesh.colours is not None
-    _check_text(mesh, text_memory * (1 + (normals is not None) + coloured))
-    text = given.export(
-        file_type="obj",
-        digits=max(decimals_of(mesh), 0 if normals is None else 9, 4 * coloured),
-        include_normals=normals is not None and len(mesh.faces) > 0,
-        include_color=coloured,
-        include_texture=False,
-        header=HEADER,
-    )
-    file.write(text.encode())
+def write_obj(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
+    """Write OBJ text, each number as the shortest one that reads back exactly; colours of vertices
+    behind their coordinates, from 0 to 1 in sRGB, without opacity."""
+    normals = _checked(mesh, normals)
+    file.write(f"# {HEADER}\n".encode())
+    rows = mesh.vertices
+    if mesh.colours is not None:
+        rows = np.concatenate([rows, _levels(mesh.colours)[:, :3] / 255], axis=1)
+    write_lines(file, f"v{' %r' * rows.shape[1]}\n", rows)
+    corner = "%d"
+    faces = mesh.faces + 1
+    if normals is not None:
+        write_lines(file, "vn %r %r %r\n", normals)
+        corner, faces = "%d//%d", np.repeat(faces, 2, axis=1)
+    write_lines(file, f"f {corner} {corner} {corner}\n", faces)
 
 
-def write_off(
-    mesh: Mesh, file: BinaryIO, normals: None = None, text_memory: int = TEXT_MEMORY
-) -> None:
-    """Write OFF text, with as many decimals as the mesh needs."""
-    given = _given(mesh, normals)
-    _check_text(mesh, text_memory)
-    file.write(given.export(file_type="off", digits=decimals_of(mesh)).encode())
+def write_off(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
+    """Write OFF text, each number as the shortest one that reads back exactly."""
+    _checked(mesh, normals)
+    file.write(f"OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n".encode())
+    write_lines(file, "%r %r %r\n", mesh.vertices)
+    write_lines(file, "3 %d %d %d\n", mesh.faces)
+
+
+def write_lines(file: IO[bytes], line: str, rows: np.ndarray) -> None:
+    """Write a line for each row of numbers."""
+    for first in range(0, len(rows), LINES):
+        part = rows[first : first + LINES]
+        file.write((line * len(part) % tuple(part.ravel().tolist())).encode())
 
 
 def write_ply(mesh: Mesh | BlockSurface, file: BinaryIO, normals: np.ndarray | None = None) -> None:
@@ -148,36 +143,35 @@ def write_glb(
 
 def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
     """Return a trimesh.Trimesh of the mesh, with its normals and colours."""
-    _check_finite(mesh, mesh.vertices, BAD_VERTEX)
-    if normals is not None:
-        normals = np.array(normals, np.float64)  # a copy: trimesh makes it read-only
-        if normals.shape != mesh.vertices.shape:
-            raise MeshError(
-                f"{mesh.name or 'mesh'}: normals of shape {normals.shape} for "
-                f"{len(mesh.vertices)} vertices: give one a vertex"
-            )
-        _check_finite(mesh, normals, "the normal of vertex {} is not finite: give it one")
-        normals = normals if len(normals) else None  # trimesh fails on an empty array
-    colours = None
-    if mesh.colours is not None:
-        light = np.rint(mesh.colours[:, :3] * srgb.ONE).astype(np.int64)
-        opacity = np.rint(mesh.colours[:, 3:] * srgb.LEVELS).astype(np.uint8)
-        colours = np.concatenate([srgb.to_levels(light), opacity], axis=1)
+    normals = _checked(mesh, normals)
+    if normals is not None and not len(normals):
+        normals = None  # trimesh fails on an empty array
+    colours = None if mesh.colours is None else _levels(mesh.colours)
     return trimesh.Trimesh(
         mesh.vertices, mesh.faces, vertex_normals=normals, vertex_colors=colours, process=False
     )
 
 
-def decimals_of(mesh: Mesh) -> int:
-    """Return the decimals that give a tenth of the largest coordinate 17 significant digits and
-    resolve 1e-9 of the longest side."""
-    used = mesh.vertices[mesh.faces].reshape(-1, 3) if len(mesh.faces) else mesh.vertices
-    largest = np.abs(mesh.vertices).max(initial=0)
-    with np.errstate(over="ignore"):
-        side = np.ptp(used, axis=0).max() if len(used) else 0
-    # exponents by decimals: log10 may be off next to a power of ten
-    needed = [n - Decimal(float(x)).adjusted() for n, x in ((17, largest), (9, side)) if x > 0]
-    return max(0, *needed) if needed else 0
+def _checked(mesh: Mesh, normals: np.ndarray | None) -> np.ndarray | None:
+    """Return a copy of the normals; MeshError if they or the vertices cannot be written."""
+    _check_finite(mesh, mesh.vertices, BAD_VERTEX)
+    if normals is None:
+        return None
+    normals = np.array(normals, np.float64)
+    if normals.shape != mesh.vertices.shape:
+        raise MeshError(
+            f"{mesh.name or 'mesh'}: normals of shape {normals.shape} for "
+            f"{len(mesh.vertices)} vertices: give one a vertex"
+        )
+    _check_finite(mesh, normals, "the normal of vertex {} is not finite: give it one")
+    return normals
+
+
+def _levels(colours: np.ndarray) -> np.ndarray:
+    """Return colours in linear light, (V, 4), as bytes of sRGB and opacity."""
+    light = np.rint(colours[:, :3] * srgb.ONE).astype(np.int64)
+    opacity = np.rint(colours[:, 3:] * srgb.LEVELS).astype(np.uint8)
+    return np.concatenate([srgb.to_levels(light), opacity], axis=1)
 
 
 def _face_normals(triangles: np.ndarray) -> np.ndarray:
@@ -216,8 +210,3 @@ def _check_moved(moved: float, side: float, kind: str) -> None:
             f"{kind} holds float32, which would move vertices by {moved:.3g} where the mesh is "
             f"{side:.3g} long: write .obj or .off"
         )
-
-
-def _check_text(mesh: Mesh, memory: int) -> None:
-    count = len(mesh.faces) + len(mesh.vertices)
-    check_memory(memory * count, "the lines of the mesh", "write .ply")

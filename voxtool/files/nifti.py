@@ -14,13 +14,14 @@ import gzip
 import io
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from voxtool.errors import FileError, one_line
 from voxtool.files.streams import PACKED
+from voxtool.files.unpacked import Unpacked, check_unpacked
 from voxtool.files.voxels import (
     Boxes,
     Dense,
@@ -118,15 +119,22 @@ def _header(image: Dense) -> Any:
 
 def read(file: BinaryIO, size: int) -> Stored:
     """Return the voxels of an image."""
-    return _read(file, size)
+    return _read(file, lambda needed, start: check_length(needed, size - start))
 
 
 def read_packed(file: BinaryIO, size: int) -> Stored:
     """Return the voxels of a compressed image."""
-    return _read(gzip.GzipFile(fileobj=file), size * PACKED)
+    packed = Unpacked(gzip.GzipFile(fileobj=file), "gzip data")
+
+    def check(needed: int, _: int) -> None:
+        check_length(needed, PACKED * size)
+        check_unpacked(needed, size)
+
+    return _read(packed, check)
 
 
-def _read(file: BinaryIO | gzip.GzipFile, size: int) -> Stored:
+def _read(file: BinaryIO | Unpacked, check: Callable[[int, int], None]) -> Stored:
+    """Return the voxels; `check` refuses an array of so many bytes that begins at a place."""
     header = _read_header(file)
     try:
         shape = list(map(int, header.get_data_shape()))
@@ -139,7 +147,7 @@ def _read(file: BinaryIO | gzip.GzipFile, size: int) -> Stored:
         shape.pop()
     check_values(dtype, shape)
     a, b, c = shape
-    check_length(a * b * c * dtype.itemsize, size)
+    check(a * b * c * dtype.itemsize, file.tell())
     frame = exactly(frame_of((a, b, c), affine[:3, :3], affine[:3, 3]), _exact(header))
     pieces = dense_pieces(file, dtype, (a, b, c), fortran=True)
     if (slope, inter) not in ((None, None), (1.0, 0.0)):
@@ -147,7 +155,7 @@ def _read(file: BinaryIO | gzip.GzipFile, size: int) -> Stored:
     return Stored(frame, pieces, UNIT_CODES.get(int(header["xyzt_units"]) & 7, ""))
 
 
-def _read_header(file: BinaryIO | gzip.GzipFile) -> Any:
+def _read_header(file: BinaryIO | Unpacked) -> Any:
     """Return the header; the file is then at the array."""
     from nibabel.nifti1 import Nifti1Header
     from nibabel.nifti2 import Nifti2Header
@@ -190,4 +198,6 @@ def _exact(header: Any) -> Any:
 
 def _scaled(pieces: Iterator[Boxes], slope: float, inter: float) -> Iterator[Boxes]:
     for corners, values in pieces:
-        yield Boxes(corners, values.astype(np.float64) * slope + inter)
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = values.astype(np.float64) * slope + inter
+        yield Boxes(corners, scaled)

@@ -17,9 +17,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from voxtool.errors import FileError, one_line, printable
+from voxtool.errors import FileError, printable
 from voxtool.files import npy
-from voxtool.files.streams import PACKED
+from voxtool.files.unpacked import check_unpacked, open_entry, open_zip
 from voxtool.files.voxels import (
     Boxes,
     Dense,
@@ -96,46 +96,33 @@ def write_entry(
 def read(file: BinaryIO, size: int) -> Stored:
     """Return the voxels of a list with its grid, or of the only array of three axes, which may
     have a grid beside it."""
-    try:
-        packed = zipfile.ZipFile(file)
-        members = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
-    except Exception as error:  # damage shows in any of the library's errors
-        raise FileError(f"damaged .npz: {one_line(error)}") from None
+    packed = open_zip(file)
+    members = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
     grid = None
     if members.keys() >= GRID.keys():
         grid = Grid(**{name: _small(packed, members[name]) for name in GRID})
     if grid and "voxels" in members:
-        return Stored(Frame(grid), _listed(packed, members, grid))
+        return Stored(Frame(grid), _listed(packed, members, grid, size))
     arrays = [entry for name, entry in members.items() if not grid or name not in GRID]
     if len(arrays) != 1:
         names = printable(", ".join(members))[:80] or "nothing"
         raise FileError(f"holds {names}: expected one array, or voxels, shape, origin and pitch")
     entry = arrays[0]
-    part = _opened(packed, entry)
+    part = open_entry(packed, entry)
     shape, fortran, dtype = npy.read_header(part)
     check_values(dtype, shape)
     a, b, c = shape
     check_length(a * b * c * dtype.itemsize, entry.file_size)
+    check_unpacked(entry.file_size, size)
     grid = grid or Grid((a, b, c), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     if grid.shape != (a, b, c):
         raise FileError(f"an array of {a} x {b} x {c}, where shape says {grid.shape}")
     return Stored(Frame(grid), dense_pieces(part, dtype, (a, b, c), fortran=fortran))
 
 
-def _opened(packed: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Any:
-    """Return an entry as a stream; FileError if it declares more than it can hold."""
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FileError(
-            f"is packed by method {entry.compress_type}: write it with numpy.savez or "
-            "numpy.savez_compressed"
-        )
-    check_length(entry.file_size, PACKED * entry.compress_size)
-    return packed.open(entry)
-
-
 def _small(packed: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[Any, ...]:
     """Return three numbers."""
-    with _opened(packed, entry) as part:
+    with open_entry(packed, entry) as part:
         shape, _, dtype = npy.read_header(part)
         if shape != (3,) or dtype.kind not in "iuf":
             raise FileError(f"{entry.filename}: expected three numbers")
@@ -143,16 +130,17 @@ def _small(packed: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[Any, ...]:
 
 
 def _listed(
-    packed: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], grid: Grid
+    packed: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], grid: Grid, size: int
 ) -> Iterator[Boxes]:
     """Yield the voxels of a list, each as a box of one voxel."""
-    part = _opened(packed, members["voxels"])
+    check_unpacked(members["voxels"].file_size, size)
+    part = open_entry(packed, members["voxels"])
     shape, fortran, dtype = npy.read_header(part)
     if len(shape) != 2 or shape[1] != 3 or fortran or dtype.kind not in "iu":
         raise FileError("voxels: expected whole numbers, (N, 3) in C order")
     values, kind = None, np.dtype(np.uint8)
     if "values" in members:
-        values = _opened(packed, members["values"])
+        values = open_entry(packed, members["values"])
         count, _, kind = npy.read_header(values)
         if count != shape[:1] or kind.kind not in "biuf":
             raise FileError(f"values: expected {shape[0]} numbers, one a voxel")

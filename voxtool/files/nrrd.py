@@ -18,6 +18,8 @@ import numpy as np
 
 from voxtool.errors import FileError, shown
 from voxtool.files.streams import PACKED
+from voxtool.files.text_numbers import array_of_text, real, whole
+from voxtool.files.unpacked import Unpacked, check_unpacked
 from voxtool.files.voxels import (
     Dense,
     Readable,
@@ -113,7 +115,7 @@ def _quoted(text: str) -> str:
 def read(file: BinaryIO, size: int) -> Stored:
     """Return the voxels of an image."""
     fields, keys = _read_header(file)
-    shape = tuple(map(int, _need(fields, "sizes").split()))
+    shape = tuple(map(whole, _need(fields, "sizes").split()))
     name = _need(fields, "type").lower()
     kind = next((kind for kind, names in TYPES.items() if name in names), None)
     if kind is None:
@@ -171,7 +173,7 @@ def _place(fields: dict[str, str]) -> tuple[np.ndarray, np.ndarray]:
         rows = [_numbers(word) for word in fields[DIRECTIONS].split(")") if word.strip()]
         matrix = np.array(rows, float).T
     elif "spacings" in fields:
-        matrix = np.diag([float(word) for word in fields["spacings"].split()])
+        matrix = np.diag([real(word) for word in fields["spacings"].split()])
     if ORIGIN in fields:
         center = np.array(_numbers(fields[ORIGIN]), float)
     if matrix.shape != (3, 3) or center.shape != (3,):
@@ -182,7 +184,7 @@ def _place(fields: dict[str, str]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.strip(" ()").split(",")]
+    return [real(word) for word in text.strip(" ()").split(",")]
 
 
 def _stream(
@@ -190,7 +192,7 @@ def _stream(
 ) -> Readable:
     """Return the array as a stream of bytes."""
     encoding = _need(fields, "encoding").lower()
-    skip = int(fields.get("byte skip", fields.get("byteskip", "0")))
+    skip = whole(fields.get("byte skip", fields.get("byteskip", "0")))
     if fields.get("line skip", fields.get("lineskip", "0")) != "0" or skip < -1:
         raise FileError("lines between header and array: save it without")
     if encoding == "raw":
@@ -201,13 +203,14 @@ def _stream(
     if skip:
         raise FileError("bytes between header and array: save it without")
     if encoding in ("gz", "gzip"):
-        check_length(needed, held * PACKED)
-        return gzip.GzipFile(fileobj=file)
+        check_length(needed, PACKED * held)
+        check_unpacked(needed, held)
+        return Unpacked(gzip.GzipFile(fileobj=file), "gzip data")
     if encoding in ("bz2", "bzip2"):
-        return bz2.BZ2File(file)
+        check_unpacked(needed, held)
+        return Unpacked(bz2.BZ2File(file), "bzip2 data")
     if encoding in ("txt", "text", "ascii"):
         check_length(needed, held * dtype.itemsize)
         check_memory(100 * held, "an array of text")
-        values = np.array(file.read().split(), np.float64).astype(dtype)
-        return io.BytesIO(values.tobytes())
+        return io.BytesIO(array_of_text(file.read(), dtype).tobytes())
     raise FileError(f"encoding {shown(encoding.encode())} is not read: save it with gzip")

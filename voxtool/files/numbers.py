@@ -20,7 +20,9 @@ from voxtool.errors import MeshError, shown
 
 BLOCK_BYTES = 1 << 19  # of text that is parsed at once: beyond that, caches overflow
 LETTERS = b"0123456789+-.eE \t\r\n"  # of numbers and between them
-NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"  # a pattern
+NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"  # a pattern
+MOST_LINE = 1 << 24  # letters of a line, two million corners of a face
+SPLIT_FACE = "split its face into smaller ones"
 WORD = re.compile(rb"[^ \t\r]+")
 SPACE, NEWLINE, POINT, MINUS = b" \n.-"
 EIGHT = 8  # digits, which a uint64 holds as letters
@@ -36,6 +38,17 @@ Parsed = TypeVar("Parsed")
 
 class OddityError(Exception):
     """Raised for a text that is not numbers alone."""
+
+
+def check_lines(name: str, data: bytes, ends: bytes = b"\n") -> None:
+    """Raise MeshError if a line, which one of `ends` ends, has more than MOST_LINE letters: while
+    it is parsed it would take thirty times its size."""
+    start = 0
+    while len(data) - start > MOST_LINE:
+        last = max(data.rfind(end, start, start + MOST_LINE) for end in ends.split(b" "))
+        if last < 0:
+            raise MeshError(f"{name}: a line of more than {MOST_LINE >> 20} MiB: {SPLIT_FACE}")
+        start = last + 1
 
 
 def blocks_of(data: bytes, start: int = 0, size: int = BLOCK_BYTES) -> Iterator[bytes]:

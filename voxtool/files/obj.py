@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,12 +21,15 @@ from voxtool.errors import MeshError, count_of, shown
 from voxtool.files.numbers import (
     BLOCK_BYTES,
     LETTERS,
+    MOST_LINE,
     NEWLINE,
     SPACE,
+    SPLIT_FACE,
     OddityError,
     beside,
     blocks_of,
     by_line,
+    check_lines,
     fans,
     numbers_in,
 )
@@ -41,7 +45,7 @@ CORNER_LETTERS = b"0123456789+-/ \t\r\n"
 SLASH = ord("/")
 NO_UV, NO_CORNERS = np.empty((0, 2)), np.empty((0, 3), np.int64)
 NO_FACES = np.empty(0, np.int64)
-NUMBER = re.compile(rb"(?i)[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf|infinity)")
+NUMBER = re.compile(rb"(?i)[-+]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:e[-+]?\d+)?|nan|inf|infinity)")
 REFERENCE = re.compile(rb"^([-+]?\d{1,10})(?:/(?:[-+]?\d+)?){0,2}$")
 
 
@@ -53,6 +57,7 @@ def parse(
     MeshError names the line. Polygons become fans of triangles; negative indices count back from
     their line. Normals are ignored.
     """
+    check_lines(name, data, b"\n \r")
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:
         vertices, faces, statements = _quick(data, bool(keep))
@@ -285,31 +290,30 @@ def _by_line(
     name: str, data: bytes, describe: bool
 ) -> tuple[np.ndarray, np.ndarray, Statements | None]:
     """Return the mesh of any OBJ; raise MeshError."""
-    total = len(re.findall(rb"^[ \t]*v[ \t]", data, re.M))
-    all_uv = len(re.findall(rb"^[ \t]*vt[ \t]", data, re.M))
-    points: list[list[float]] = []
-    faces: list[list[int]] = []
-    uv: list[list[float]] = []
-    uv_faces: list[list[int]] = []
+    total = sum(1 for _ in re.finditer(rb"(?:\A|[\r\n])[ \t]*v[ \t]", data))
+    all_uv = sum(1 for _ in re.finditer(rb"(?:\A|[\r\n])[ \t]*vt[ \t]", data))
+    points, uv, colours = array("d"), array("d"), array("d")  # 3, 2 and 3 numbers each
+    faces, uv_faces = array("q"), array("q")  # 3 corners a triangle
     begun: list[tuple[int, str, str]] = []
-    colours: list[list[float]] = []
     line, corners = 0, [0] * 3
     try:
         for line, words in _statements(data):  # noqa: B007 (for the message)
             corners = [0] * 3
             if words[:1] == [b"v"]:
-                points.append(_vertex(words[1:4]))
+                points.extend(_vertex(words[1:4]))
                 if describe and len(words) == 7:
-                    colours.append(_vertex(words[4:7]))
+                    colours.extend(_vertex(words[4:7]))
             elif words[:1] == [b"f"]:
-                corners = [_index(word, len(points), total) for word in words[1:]]
-                faces += _fan(corners)
+                known = len(points) // 3
+                corners = [_index(word, known, total) for word in words[1:]]
+                _add_fan(faces, corners)
                 if describe:
-                    uv_faces += _fan([_uv_index(word, len(uv), all_uv) for word in words[1:]])
+                    known = len(uv) // 2
+                    _add_fan(uv_faces, [_uv_index(word, known, all_uv) for word in words[1:]])
             elif describe and words[:1] == [b"vt"]:
-                uv.append(_vertex([*words[1:3], *[b"0"] * 3][:3])[:2])
+                uv.extend(_vertex([*words[1:3], *[b"0"] * 3][:3])[:2])
             elif describe and (statement := _statement(b" ".join(words))):
-                begun.append((len(faces), *statement))
+                begun.append((len(faces) // 3, *statement))
         if len(corners) < 3 and not data.endswith((b"\n", b"\r")):
             raise MeshError(
                 f"the last face has {count_of(len(corners), 'vertex')}: the file is truncated"
@@ -320,34 +324,37 @@ def _by_line(
     if describe:
         coloured = len(colours) == len(points) > 0
         statements = Statements(
-            begun, np.array(uv).reshape(-1, 2), np.array(uv_faces, np.int64).reshape(-1, 3),
-            np.array(colours) if coloured else None,
+            begun, np.array(uv).reshape(-1, 2), np.array(uv_faces).reshape(-1, 3),
+            np.array(colours).reshape(-1, 3) if coloured else None,
         )  # fmt: skip
-    return (
-        np.array(points).reshape(-1, 3),
-        np.array(faces, np.int64).reshape(-1, 3),
-        statements,
-    )
+    return np.array(points).reshape(-1, 3), np.array(faces).reshape(-1, 3), statements
 
 
-def _fan(corners: list[int]) -> list[list[int]]:
-    """Return a polygon as a fan of triangles."""
-    return [[corners[0], *corners[i : i + 2]] for i in range(1, len(corners) - 1)]
+def _add_fan(faces: array[int], corners: list[int]) -> None:
+    """Add a polygon as a fan of triangles."""
+    for i in range(1, len(corners) - 1):
+        faces.extend((corners[0], corners[i], corners[i + 1]))
 
 
 def _statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
     """Yield line number and words of each statement; a backslash continues a line."""
-    begun, first = b"", 0
-    for number, line in enumerate(data.splitlines(), 1):
-        line = begun + line.partition(b"#")[0]
+    begun: list[bytes] = []
+    first, letters = 0, 0
+    lines = (line for block in blocks_of(data) for line in block.splitlines())
+    for number, line in enumerate(lines, 1):
+        line = line.partition(b"#")[0]
         first = first or number
+        letters += len(line)
+        if letters > MOST_LINE:
+            raise MeshError(f"a statement of more than {MOST_LINE >> 20} MiB: {SPLIT_FACE}")
         if line.endswith(b"\\"):
-            begun = line[:-1] + b" "
+            begun.append(line[:-1])
             continue
-        yield first, line.split()
-        begun, first = b"", 0
+        yield first, b" ".join([*begun, line]).split()
+        begun.clear()
+        first, letters = 0, 0
     if begun:
-        yield first, begun.split()
+        yield first, b" ".join(begun).split()
 
 
 def _vertex(words: list[bytes]) -> list[float]:

@@ -217,18 +217,22 @@ def _changed(look: Look, words: list[bytes], row: bytes) -> Look:
 def _mapped(look: Look, words: list[str], row: str) -> Look:
     """Return a material with the texture that map_Kd names after its options."""
     options: dict[str, Any] = {}
-    while words and words[0] in (*NUMBERS_OF, *WORD_OPTIONS):
-        option, words = words[0], words[1:]
+    at = 0
+    while at < len(words) and words[at] in (*NUMBERS_OF, *WORD_OPTIONS):
+        option, at = words[at], at + 1
         if option in WORD_OPTIONS:
-            options[option], words = words[:1], words[1:]
+            options[option], at = words[at : at + 1], at + 1
             continue
         numbers = []
         while (
-            words[1:] and len(numbers) < NUMBERS_OF[option] and (n := _number(words[0])) is not None
+            at + 1 < len(words)
+            and len(numbers) < NUMBERS_OF[option]
+            and (n := _number(words[at])) is not None
         ):
             numbers.append(n)
-            words = words[1:]
+            at += 1
         options[option] = numbers
+    words = words[at:]
     if not words:
         raise MeshError("map_Kd names no picture: correct it")
     picture = row[row.rindex(words[0]) :] if len(words) == 1 else row[row.index(words[0]) :]

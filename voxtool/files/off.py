@@ -10,7 +10,7 @@ import re
 import numpy as np
 
 from voxtool.errors import MeshError
-from voxtool.files.numbers import blocks_of, rows_in, triangles_in, vertices_in
+from voxtool.files.numbers import blocks_of, check_lines, rows_in, triangles_in, vertices_in
 from voxtool.mesh.mesh import check_complete, check_promised
 
 HEAD = re.compile(rb"\s*(?:ST)?C?N?OFF\s+(\d{1,20})[ \t]+(\d{1,20})(?:[ \t]+\d+)?[ \t\r]*(?:\n|$)")
@@ -23,6 +23,7 @@ def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
     """
     if b"#" in data:
         data = re.sub(rb"#[^\n]*", b"", data)
+    check_lines(name, data)
     head = HEAD.match(data)
     if head is None:
         raise MeshError(

@@ -23,6 +23,7 @@ import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError, human, one_line
 from voxtool.files.streams import PACKED
+from voxtool.files.unpacked import check_unpacked
 from voxtool.files.voxels import (
     Boxes,
     Stored,
@@ -193,7 +194,9 @@ def read(folder: Path, size: int) -> Stored:
     """Return the voxels of the finest array of the first image."""
     try:
         with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
-            return _read(folder)  # zarr, in a thread of its own, warns of a fill value's overflow
+            return _read(
+                folder, size
+            )  # zarr, in a thread of its own, warns of a fill value's overflow
     except (VoxtoolError, OSError, MemoryError):
         raise
     except Exception as error:  # damage shows in any of zarr's errors
@@ -204,7 +207,7 @@ def _damaged(error: Exception) -> FileError:
     return FileError(f"is no OME-Zarr, or damaged: {one_line(error) or type(error).__name__}")
 
 
-def _read(folder: Path) -> Stored:
+def _read(folder: Path, size: int) -> Stored:
     import zarr
 
     group: Any = zarr.open_group(str(folder), mode="r")
@@ -223,7 +226,8 @@ def _read(folder: Path) -> Stored:
     chunks = tuple(array.chunks[axis] for axis in space)
     each = prod(array.chunks) * array.dtype.itemsize
     check_memory(4 * each, f"a chunk of {human(each)}")
-    starts = _starts(folder / array.path, array, space)
+    starts, chunks_held = _starts(folder / array.path, array, space)
+    check_unpacked(chunks_held * each, size)
     scale, move = _placing(scales, array.ndim)
     matrix = np.zeros((3, 3))
     for column, axis in enumerate(space):
@@ -270,9 +274,9 @@ def _check_codecs(about: Any) -> None:
         _check_codecs(codec.get("configuration") or {})
 
 
-def _starts(folder: Path, array: Any, space: list[int]) -> Iterable[tuple[int, ...]]:
-    """Return the low cells of the chunks that may hold something: those of the files in the
-    array's folder, or all chunks if missing ones are not 0."""
+def _starts(folder: Path, array: Any, space: list[int]) -> tuple[Iterable[tuple[int, ...]], int]:
+    """Return the low cells of the chunks that may hold something, and their number: those of the
+    files in the array's folder, or all chunks if missing ones are not 0."""
     shape, chunks = ([sizes[axis] for axis in space] for sizes in (array.shape, array.chunks))
     whole = [array.shards[axis] for axis in space] if array.shards else chunks  # of a file
     if array.fill_value:
@@ -284,7 +288,8 @@ def _starts(folder: Path, array: Any, space: list[int]) -> Iterable[tuple[int, .
         found = (re.findall(r"\d+", index[0]) for index in indices if index)
         places = [[int(i[axis]) for axis in space] for i in found if len(i) == array.ndim]
         files = sorted(tuple(np.multiply(place, whole).tolist()) for place in places)
-    if len(files) * prod(-(-n // c) for n, c in zip(whole, chunks, strict=True)) > MOST_CHUNKS:
+    count = len(files) * prod(-(-n // c) for n, c in zip(whole, chunks, strict=True))
+    if count > MOST_CHUNKS:
         raise FileError(f"it has more than {MOST_CHUNKS:,} chunks: store larger ones")
     sizes = list(zip(whole, shape, chunks, strict=True))
     return (
@@ -293,7 +298,7 @@ def _starts(folder: Path, array: Any, space: list[int]) -> Iterable[tuple[int, .
         for start in product(
             *(range(a, min(a + w, n), c) for a, (w, n, c) in zip(low, sizes, strict=True))
         )
-    )
+    ), count
 
 
 def _pieces(

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from voxtool.files.unpacked import check_unpacked
 from voxtool.memory import check_memory
 from voxtool.mesh.appearance import Appearance, Material, Parts
 from voxtool.mesh.mesh import check_indices
@@ -47,10 +48,14 @@ class Placed(NamedTuple):
     colours: np.ndarray | None
 
 
-def check_placed(name: str, items: int, max_memory: int | None, look: bool = False) -> None:
-    """Refuse a scene of more vertices and indices, once placed, than fit in memory."""
+def check_placed(
+    name: str, items: int, held: int, max_memory: int | None, look: bool = False
+) -> None:
+    """Refuse a scene of more vertices and indices, once placed, than fit in memory, or than a file
+    of `held` bytes is trusted with."""
     size = (ITEM_BYTES + LOOK_BYTES * look) * items
     check_memory(size, f"{name}: its meshes", "split the scene", max_memory)
+    check_unpacked(size, held, f"{name}: its meshes take", max_memory)
 
 
 def merged(name: str, parts: Iterable[Part]) -> Placed:

@@ -17,7 +17,15 @@ import numpy as np
 
 from voxtool.arrays import float64
 from voxtool.errors import FileError, MeshError, printable
-from voxtool.files.numbers import Rows, blocks_of, fans, rows_in, triangles_in, vertices_in
+from voxtool.files.numbers import (
+    Rows,
+    blocks_of,
+    check_lines,
+    fans,
+    rows_in,
+    triangles_in,
+    vertices_in,
+)
 from voxtool.files.placement import Read
 from voxtool.mesh.appearance import Appearance
 from voxtool.mesh.mesh import check_complete, check_promised
@@ -180,6 +188,7 @@ def _of_text(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Return the vertices, the faces and, if `look`, the colours of a text from `start` on, where
     line `line` begins; MeshError for fewer than `wanted`."""
+    check_lines(name, data)
     colours: list[np.ndarray] = []
     points, corners, vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0, 0
     done = 0

@@ -11,19 +11,20 @@ import re
 import tempfile
 import warnings
 import zipfile
-import zlib
 from contextlib import contextmanager
 from itertools import chain, islice, takewhile
+from math import isinf
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 
 from voxtool.arrays import float64
-from voxtool.errors import FileError, count_of, one_line, printable
+from voxtool.errors import FileError, MemoryLimitError, count_of, printable
 from voxtool.files import ply
 from voxtool.files.formats import MESH_EXTENSIONS
 from voxtool.files.ply import LINE_LIMIT
 from voxtool.files.streams import PathLike, input_name, open_stream, read_error
+from voxtool.files.unpacked import check_unpacked, open_entry, open_zip
 from voxtool.memory import check_disk
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ NPY_VERSION = (1, 0)  # the only one that numbers need; its header has at most 6
 TEXT_ROWS = 1 << 16  # lines that are in memory at once,
 TEXT_LETTERS = 1 << 24  # unless they are long
 NUMBER = re.compile(
-    r"\s*[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)\s*", re.ASCII | re.IGNORECASE
+    r"\s*[+-]?((\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)\s*", re.ASCII | re.IGNORECASE
 )
 RECORD_BYTES = 1 << 26  # of a PLY file's vertices that are in memory at once
 
@@ -73,8 +74,8 @@ def read_points(
                     yield from READERS[format](file, size, block)
                 else:
                     yield from _read_text(file, format, block)
-            except FileError as error:
-                raise FileError(f"{name}: {error}") from error
+            except (FileError, MemoryLimitError) as error:
+                raise type(error)(f"{name}: {error}") from error
     except OSError as error:
         raise read_error(name, error) from error
 
@@ -143,7 +144,7 @@ def _npy_header(file: BinaryIO) -> tuple[int, bool, np.dtype]:
             # of arrays that Python 2 wrote; another thread may warn of the device
             warnings.filterwarnings("ignore", ".* created on Python 2", UserWarning)
             shape, in_columns, dtype = np.lib.format.read_array_header_1_0(file)
-    except (OSError, zipfile.BadZipFile, zlib.error):
+    except (OSError, FileError):
         raise
     except Exception:  # damage shows in many ways
         raise FileError(
@@ -175,15 +176,11 @@ def _read_npz(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarr
             "the contents of a .npz are listed at its end, and a stream is read from its "
             "beginning: save it to a file, or send .npy"
         )
-    try:
-        with zipfile.ZipFile(file) as packed:
-            found = _points_member(packed)
-            with packed.open(found) as member:
-                yield from _read_npy(member, found.file_size, block)  # pyright: ignore
-    except (FileError, OSError):
-        raise
-    except Exception as error:  # damage shows in any of the library's errors
-        raise FileError(f"damaged .npz: {one_line(error)}") from error
+    with open_zip(file) as packed:
+        found = _points_member(packed)
+        check_unpacked(found.file_size, size)
+        with open_entry(packed, found) as member:
+            yield from _read_npy(member, found.file_size, block)  # pyright: ignore
 
 
 def _points_member(packed: zipfile.ZipFile) -> zipfile.ZipInfo:
@@ -191,13 +188,7 @@ def _points_member(packed: zipfile.ZipFile) -> zipfile.ZipInfo:
     if "points" not in members and len(members) != 1:
         names = printable(", ".join(members))[:80] or "nothing"
         raise FileError(f"holds {names}: call the array of points `points`")
-    member = members.get("points") or next(iter(members.values()))
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FileError(
-            f"is packed by method {member.compress_type}: write it with numpy.savez or "
-            "numpy.savez_compressed"
-        )
-    return member
+    return members.get("points") or next(iter(members.values()))
 
 
 # --- text ----------------------------------------------------------------------------------------
@@ -270,9 +261,19 @@ def _by_line(
 def _points_of(numbers: list[int], lines: list[str], columns: _Columns) -> np.ndarray:
     points = _parsed(lines, columns)
     if points is not None:
+        for row in np.flatnonzero(np.isinf(points).any(axis=1)).tolist():
+            _refuse_overflow(numbers[row], lines[row], columns)
         return points
     wrong = next(i for i, line in enumerate(lines) if _parsed([line], columns) is None)
     raise FileError(f"line {numbers[wrong]}: {_fault(lines[wrong], columns)}")
+
+
+def _refuse_overflow(number: int, line: str, columns: _Columns) -> None:
+    """Raise FileError if a coordinate is infinite since float64 does not hold its number."""
+    words = line.split(columns.delimiter)
+    for word in (words[place].strip() for place in columns.places or (0, 1, 2)):
+        if isinf(float(word)) and "n" not in word.lower():  # inf has one
+            raise FileError(f"line {number}: {printable(word)[:40]!r} is beyond float64")
 
 
 def _parsed(lines: list[str], columns: _Columns) -> np.ndarray | None:

@@ -67,7 +67,7 @@ def read_lines(path: str) -> dict[str, dict[str, Any]]:
                         found[member.name.removesuffix(".json")] = line
     except FileNotFoundError:
         return {}
-    except (OSError, tarfile.TarError, ValueError) as error:
+    except (OSError, tarfile.TarError, ValueError, RecursionError) as error:
         hint = "remove it, or name another file"
         raise FileError(f"{path}: is no tar of samples ({error}): {hint}") from error
     return found

@@ -15,6 +15,7 @@ from voxtool.files.numbers import (
     OddityError,
     blocks_of,
     by_line,
+    check_lines,
     numbers_in,
 )
 from voxtool.mesh.mesh import check_counts
@@ -54,6 +55,7 @@ def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 def _text_points(name: str, data: bytes) -> np.ndarray:
     """Return the (3 F, 3) vertices of the triangles of a text."""
+    check_lines(name, data)
     points, known = [np.empty((0, 3))], 0
     for block in blocks_of(data):
         rows = VERTEX.findall(block)

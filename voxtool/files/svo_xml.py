@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import gzip
 import re
-import zlib
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -25,6 +24,7 @@ from voxtool.errors import FileError
 from voxtool.files import svo_hdf5, voccel
 from voxtool.files.streams import PACKED
 from voxtool.files.svo_hdf5 import grid_of
+from voxtool.files.unpacked import Unpacked
 from voxtool.memory import check_memory
 from voxtool.svo.layout import BRICK, NODE
 from voxtool.svo.octree import Octree
@@ -60,7 +60,7 @@ ENTITY = re.compile(rb"&(?!(?:amp|lt|gt|quot|apos|#[0-9]{1,7}|#x[0-9a-fA-F]{1,6}
 LONGEST_REFERENCE = len("&#x10ffff;")
 WORDS = re.compile(r"[0-9]{1,10}(?: [0-9]{1,10})*")
 WHOLE = re.compile(r"[0-9]{1,10}")
-NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
 # Writing
@@ -144,11 +144,8 @@ def read(file: BinaryIO, size: int) -> Octree:
 
 def read_gz(file: BinaryIO, size: int) -> Octree:
     """The octree of a gzip-compressed XML file of `size` bytes."""
-    try:
-        with gzip.GzipFile(fileobj=file, mode="rb") as packed:
-            return _Reader(size * PACKED).read(packed)  # pyright: ignore[reportArgumentType]
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise FileError(f"damaged gzip file: {error}") from error
+    with Unpacked(gzip.GzipFile(fileobj=file, mode="rb"), "gzip file") as packed:
+        return _Reader(size * PACKED).read(packed)  # pyright: ignore[reportArgumentType]
 
 
 def parse_words(text: str) -> np.ndarray:

@@ -10,16 +10,16 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-import zlib
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 import numpy as np
 
-from voxtool.errors import MeshError, one_line, printable
+from voxtool.errors import FileError, MeshError, one_line, printable
 from voxtool.files.placement import (
     DEEPEST,
     Part,
@@ -30,6 +30,8 @@ from voxtool.files.placement import (
     named,
     product,
 )
+from voxtool.files.text_numbers import real, whole
+from voxtool.files.unpacked import open_entry, open_zip
 from voxtool.mesh.appearance import Material
 from voxtool.mesh.srgb import to_linear
 
@@ -50,6 +52,9 @@ UNITS = {
 }
 COLOUR = re.compile(r"#[0-9A-Fa-f]{6}(?:[0-9A-Fa-f]{2})?")
 CHUNK = 1 << 16  # bytes fed to the parser at once
+MOST_TOKEN = 1 << 20  # bytes of one tag
+MOST_OBJECTS = 1 << 16  # of a model, and so many items and components
+EYE = np.eye(4)
 Key = tuple[str, str]  # the part of the archive, and the object's id in it
 
 
@@ -81,9 +86,9 @@ def parse(name: str, data: bytes, limit: int, max_memory: int | None, keep: Sequ
     bytes that the placed meshes may take.
     """
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with open_zip(io.BytesIO(data)) as archive:
             return _Package(name, archive, limit, keep).meshes(max_memory)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError) as error:
+    except (FileError, OSError, RuntimeError, ValueError) as error:
         raise MeshError(
             f"{name}: not readable as 3MF: {one_line(error)}: it may be truncated or damaged, "
             "export it again"
@@ -121,7 +126,7 @@ class _Package:
                 f"{self.name}: its build names no object, so nothing is placed: export it again"
             )
         items = sum(self.size(use.key) for use in root.build)
-        check_placed(self.name, items, max_memory, self.look)
+        check_placed(self.name, items, self.limit - self.left, max_memory, self.look)
         placed = merged(self.name, self.built(root))
         parts = {}
         if "parts" in self.keep and len(placed.faces):
@@ -168,7 +173,7 @@ class _Package:
         key = model.part, group, index
         if key not in self.numbers:
             self.numbers[key] = len(self.materials)
-            self.materials.append(model.groups[group][index])
+            self.materials.append(_material(*model.groups[group][index]))
         return self.numbers[key]
 
     def feed(self, part: str, parser: expat.XMLParserType) -> None:
@@ -177,20 +182,26 @@ class _Package:
             info = self.archive.getinfo(part)
         except KeyError:
             raise MeshError(f"{self.name}: no 3MF: {_name(part)} is missing in it") from None
-        with self.archive.open(info) as file:
+        with open_entry(self.archive, info) as file:
+            fed = 0
             while chunk := file.read(CHUNK):
                 self.left -= len(chunk)
                 if self.left < 0:
                     raise MeshError(
                         f"{self.name}: unpacks to more than {self.limit >> 20} MiB: split it"
                     )
+                fed += len(chunk)
                 self.fed(part, parser, chunk, False)
+                if fed - max(parser.CurrentByteIndex, 0) > MOST_TOKEN:
+                    raise MeshError(
+                        f"{self.name}: {_name(part)} has a tag of more than {MOST_TOKEN >> 20} MiB"
+                    )
             self.fed(part, parser, b"", True)
 
     def fed(self, part: str, parser: expat.XMLParserType, chunk: bytes, last: bool) -> None:
         try:
             parser.Parse(chunk, last)
-        except (MeshError, ValueError, OverflowError) as error:
+        except (MeshError, FileError, ValueError, OverflowError) as error:
             where = f"{_name(part)} line {parser.CurrentLineNumber}"
             raise MeshError(f"{self.name}: {where}: {one_line(error)}") from None
         except KeyError as error:
@@ -243,10 +254,21 @@ class _Parser:
     def __init__(self) -> None:
         self.parser = expat.ParserCreate(namespace_separator=" ")
         self.parser.StartDoctypeDeclHandler = self.doctype
-        self.parser.StartElementHandler = self.start
+        self.parser.StartElementHandler = self.begin_tag
+        self.parser.EndElementHandler = self.end_tag
+        self.depth = 0
 
     def doctype(self, *_: object) -> NoReturn:
         raise MeshError("a DOCTYPE, which 3MF forbids: export it again")
+
+    def begin_tag(self, tag: str, attributes: dict[str, str]) -> None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise MeshError(f"elements inside more than {DEEPEST} others: export it again")
+        self.start(tag, attributes)
+
+    def end_tag(self, tag: str) -> None:
+        self.depth -= 1
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         raise NotImplementedError
@@ -273,8 +295,10 @@ class _Model(_Parser):
         self.objects: dict[str, Object] = {}
         self.build: list[Use] = []
         self.open = Object()
-        self.groups: dict[str, list[Material]] = {}  # of base materials and of colours, by id
-        self.group: list[Material] = []
+        self.uses = 0  # items and components so far
+        # Names and colours of base materials and of colours, by the id of their group.
+        self.groups: dict[str, list[tuple[str, str]]] = {}
+        self.group: list[tuple[str, str]] = []
 
     def namespace(self, prefix: str | None, uri: str) -> None:
         self.names[prefix or ""] = uri
@@ -286,21 +310,21 @@ class _Model(_Parser):
         if space != CORE:
             return
         if what == "vertex":
-            self.open.points.extend(float(attributes[axis]) for axis in "xyz")
+            self.open.points.extend(real(attributes[axis]) for axis in "xyz")
         elif what == "triangle":
-            self.open.corners.extend(int(attributes[corner]) for corner in ("v1", "v2", "v3"))
+            self.open.corners.extend(whole(attributes[corner]) for corner in ("v1", "v2", "v3"))
             if "p1" in attributes:
                 self.mark(attributes)
         elif what == "object":
+            if len(self.objects) == MOST_OBJECTS:
+                raise MeshError(f"more than {MOST_OBJECTS} objects: split it")
             self.open = self.objects[attributes["id"]] = Object(name=attributes.get("name", ""))
             if "pid" in attributes:
-                self.open.property = attributes["pid"], int(attributes.get("pindex", 0))
+                self.open.property = attributes["pid"], whole(attributes.get("pindex", "0"))
         elif what == "basematerials":
             self.group = self.groups[attributes["id"]] = []
         elif what == "base":
-            self.group.append(
-                _material(printable(attributes.get("name", "")), attributes["displaycolor"])
-            )
+            self.group.append((attributes.get("name", ""), attributes["displaycolor"]))
         elif what == "component":
             self.open.components.append(self.use(attributes))
         elif what == "item":
@@ -312,7 +336,7 @@ class _Model(_Parser):
         if what == "colorgroup":
             self.group = self.groups[attributes["id"]] = []
         elif what == "color":
-            self.group.append(_material(attributes["color"], attributes["color"]))
+            self.group.append((attributes["color"], attributes["color"]))
 
     def mark(self, attributes: dict[str, str]) -> None:
         """Keep the group and the index of the triangle that has just been read."""
@@ -320,7 +344,7 @@ class _Model(_Parser):
         group = attributes.get("pid", own[0] if own else "")
         triangle = len(one.corners) // 3 - 1
         one.marked.extend([-1] * (triangle - len(one.marked)))
-        one.marked.append(one.marks.setdefault((group, int(attributes["p1"])), len(one.marks)))
+        one.marked.append(one.marks.setdefault((group, whole(attributes["p1"])), len(one.marks)))
 
     def begin(self, attributes: dict[str, str]) -> None:
         unit = attributes.get("unit", "millimeter")
@@ -332,12 +356,16 @@ class _Model(_Parser):
                 raise MeshError(f"it requires the extension {_name(name)}: export it without")
 
     def use(self, attributes: dict[str, str]) -> Use:
+        self.uses += 1
+        if self.uses > MOST_OBJECTS:
+            raise MeshError(f"more than {MOST_OBJECTS} items and components: split it")
         part = attributes.get(f"{PRODUCTION} path", self.part).lstrip("/")
-        matrix = np.eye(4)
+        matrix = EYE
         if transform := attributes.get("transform"):
-            numbers = [float(word) for word in transform.split()]
+            numbers = [real(word) for word in transform.split()]
             if len(numbers) != 12 or not np.isfinite(numbers).all():
                 raise MeshError("a transform is no 12 finite numbers")
+            matrix = EYE.copy()
             matrix[:3] = np.array(numbers).reshape(4, 3).T  # 3MF multiplies rows
         return Use((part, attributes["objectid"]), matrix)
 
@@ -346,6 +374,12 @@ def _material(name: str, colour: str) -> Material:
     """Return a material of a colour of 3MF, #RRGGBB or #RRGGBBAA in sRGB."""
     if not COLOUR.fullmatch(colour):
         raise MeshError(f"colour {_name(colour)} is not as #RRGGBB: correct it")
-    levels = np.frombuffer(bytes.fromhex(colour[1:].ljust(8, "F")), np.uint8)
-    red, green, blue = to_linear(levels[:3]).tolist()
-    return Material(name, (red, green, blue, int(levels[3]) / 255))
+    *levels, opacity = bytes.fromhex(colour[1:].ljust(8, "F"))
+    red, green, blue = (_linear()[level] for level in levels)
+    return Material(printable(name), (red, green, blue, opacity / 255))
+
+
+@cache
+def _linear() -> list[float]:
+    """Return the linear light of each level of sRGB."""
+    return to_linear(np.arange(256, dtype=np.uint8)).tolist()

@@ -23,6 +23,9 @@ import numpy as np
 
 from voxtool.errors import FileError, MemoryLimitError, MeshWarning, human, printable
 from voxtool.files.streams import PACKED
+from voxtool.files.text_numbers import array_of_text
+from voxtool.files.text_types import check_types
+from voxtool.files.vtk_xml import DEEPEST, MOST_TOKEN, dtype_of
 from voxtool.limits import bounded_memory
 from voxtool.memory import available_memory
 
@@ -153,11 +156,18 @@ class _Text(_Ending, io.TextIOWrapper):
 
 
 class _Abaqus(_Text):
-    """An Abaqus file that fails where it names another file."""
+    """An Abaqus file that fails where it names another file, without its sets, for each of which
+    meshio would go through all elements."""
 
     def readline(self, *args: Any) -> Any:
         """The next line."""
         line = super().readline(*args)
+        if line.startswith("*") and not line.startswith("**"):
+            keyword, *words = line.split(",")
+            if keyword.strip().upper() in ("*NSET", "*ELSET"):
+                return "**\n"
+            kept = (word for word in words if not word.strip().upper().startswith("ELSET"))
+            line = ",".join((keyword, *kept)).rstrip("\r\n") + "\n"
         if not line.startswith("**"):
             words = "".join(line.upper().split()).replace("*", "")
             if words.partition(",")[0] == "INCLUDE" or "INPUT=" in words:
@@ -181,6 +191,7 @@ def _scan_counts(name: str, path: str, size: int, kind: str) -> int:
         for word in match.groups():
             with contextlib.suppress(ValueError, TypeError):  # what is no number is meshio's matter
                 _check_count(name, match[0].split()[0].decode("ascii", "replace"), int(word), size)
+    check_types(name, data, kind)
     grids = [prod(map(int, m.groups())) for m in DIMENSIONS.finditer(data)] if kind == "vtk" else []
     for points in grids:
         _check_count(name, "DIMENSIONS", points, POINTS_PER_BYTE * size)
@@ -211,21 +222,47 @@ class _Declared:
         self.pieces: list[dict[str, str]] = []
         self.arrays: list[tuple[str, dict[str, str]]] = []  # what their number of rows is called
         self.rows = ""
+        self.depth = 0
+        self.text: list[str] | None = None  # of an array of text
+        self.dtype = np.dtype(np.uint8)  # of its numbers
 
     def doctype(self, *_: object) -> NoReturn:
         raise FileError(f"{self.name}: declares a document type or entities, which no .vtu needs")
 
+    def end(self, tag: str) -> None:
+        self.depth -= 1
+        if self.text is not None:
+            text, self.text = "".join(self.text).encode(), None
+            try:
+                array_of_text(text, self.dtype)
+            except FileError as error:
+                what = printable(self.arrays[-1][1].get("Name", ""))[:40]
+                raise FileError(f"{self.name}: array {what}: {error}") from None
+
+    def characters(self, text: str) -> None:
+        if self.text is not None:
+            self.text.append(text)
+
     def start(self, tag: str, attributes: dict[str, str]) -> None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise FileError(f"{self.name}: elements inside more than {DEEPEST} others: damaged")
         if tag == "AppendedData":  # what follows may be no XML
             if not self.pieces:
                 raise FileError(f"{self.name}: has no piece before the appended data")
             raise _Scanned
         if tag == "VTKFile":
             self.packed = "compressor" in attributes
+            if attributes.get("compressor") == "vtkLZ4DataCompressor":
+                raise FileError(f"{self.name}: is packed by LZ4: save it with zlib or LZMA")
         elif tag == "Piece":
             self.pieces.append(attributes)
         elif tag == "DataArray":
             self.arrays.append((self.rows, attributes))
+            if attributes.get("format") == "ascii":  # what has another type is meshio's matter
+                with contextlib.suppress(FileError):
+                    self.dtype = dtype_of(attributes.get("type", ""), "<")
+                    self.text = []
             if len(self.arrays) > MOST_ARRAYS:
                 raise FileError(f"{self.name}: has more than {MOST_ARRAYS} arrays")
             if self.rows == "NumberOfCells" and attributes.get("Name") == "faces":
@@ -254,10 +291,15 @@ def _scan_xml(name: str, path: str, size: int, kind: str) -> int:
     parser.StartDoctypeDeclHandler = found.doctype
     parser.EntityDeclHandler = found.doctype
     parser.StartElementHandler = found.start
+    parser.EndElementHandler = found.end
+    parser.CharacterDataHandler = found.characters
+    parser.buffer_text = True
     try:
         with open(path, "rb") as file:
             for chunk in iter(lambda: file.read(SCAN), b""):
                 parser.Parse(chunk)
+                if file.tell() - max(parser.CurrentByteIndex, 0) > SCAN + MOST_TOKEN:
+                    raise FileError(f"{name}: a tag of more than {MOST_TOKEN >> 20} MiB: damaged")
         parser.Parse(b"", True)
     except _Scanned:
         pass

@@ -19,6 +19,7 @@ import numpy as np
 
 from voxtool.errors import FileError, GridError, VoxtoolError, one_line
 from voxtool.files.streams import PACKED
+from voxtool.files.unpacked import check_unpacked
 from voxtool.files.voxels import (
     Boxes,
     Dense,
@@ -157,6 +158,7 @@ def _read(file: BinaryIO, size: int) -> Stored:
     if not series.axes.endswith("YX"):
         raise FileError(f"axes {series.axes}: voxels are a stack of grey pages: choose one channel")
     check_length(prod(shape) // 8, PACKED * size)
+    check_unpacked(prod(shape) * dtype.itemsize // (8 if dtype.kind == "b" else 1), size)
     check_memory(4 * prod(shape[1:]) * dtype.itemsize, "a page of its stack")
     tag = tif.pages[0].tags.get(GRID)  # pyright: ignore[reportAttributeAccessIssue]
     axis, _, text = str(tag.value).partition(" ") if tag else ("z", "", "")

@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import groupby
+from math import prod
 from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
@@ -19,6 +20,7 @@ import numpy as np
 from voxtool.choices import MIN_DIM
 from voxtool.errors import FileError
 from voxtool.files.streams import PACKED
+from voxtool.files.text_numbers import whole
 from voxtool.files.vox_paint import BLOCK, Paint
 from voxtool.files.voxels import Boxes, Frame, Stored, grid_of_text, grid_text
 from voxtool.grid import Grid
@@ -26,6 +28,7 @@ from voxtool.svo.image import VoxelImage
 
 MAGIC, VERSION = b"VOX ", 150
 MODEL_SIDE = 256  # voxels along a side of a model, at most
+SPARSE = 64  # voxels of a model for each that is set, from which on they are passed on one by one
 LAYERS = 16  # of a model that are listed at once
 WORLD_SIDE = 2000  # voxels along a side of MagicaVoxel's world
 MOST_BYTES = (1 << 31) - 1  # that a chunk counts
@@ -212,13 +215,13 @@ class Placing(NamedTuple):
     @classmethod
     def of(cls, frame: dict[str, str]) -> Self:
         """Return that of the attributes of a frame."""
-        bits = int(frame.get("_r", "4"))
+        bits = whole(frame.get("_r", "4"))
         first, second = bits & 3, bits >> 2 & 3
         if not 0 <= bits < 128 or 3 in (first, second) or first == second:
             raise FileError(f"rotation {bits} is no rotation: it is damaged")
         axes = first, second, 3 - first - second
         signs = tuple(-1 if bits >> bit & 1 else 1 for bit in (4, 5, 6))
-        moved = tuple(int(word) for word in frame.get("_t", "0 0 0").split())
+        moved = tuple(map(whole, frame.get("_t", "0 0 0").split()))
         if len(moved) != 3 or max(map(abs, moved)) > 1 << 30:
             raise FileError("a translation is no three numbers: it is damaged")
         return cls(axes, signs, moved)
@@ -242,6 +245,12 @@ class Placing(NamedTuple):
     def turned(self, values: np.ndarray) -> np.ndarray:
         """Return the values of a model along the axes of the scene."""
         return values.transpose(self.axes)[tuple(slice(None, None, s) for s in self.signs)]
+
+    def places(self, voxels: np.ndarray, extent: tuple[int, ...]) -> np.ndarray:
+        """Return the voxels of a model, (n, 3), along the axes of the scene, from its low one."""
+        along = voxels[:, self.axes].astype(np.int64)
+        last = np.array(extent)[list(self.axes)] - 1
+        return np.where(np.array(self.signs) > 0, along, last - along)
 
 
 class Model(NamedTuple):
@@ -323,15 +332,19 @@ def _grid(content: Content, low: np.ndarray, high: np.ndarray) -> tuple[Grid, np
 def _pieces(
     file: BinaryIO, placed: list[tuple[Model, Placing]], lows: np.ndarray
 ) -> Iterator[Boxes]:
-    """Yield each model as a box."""
+    """Yield each model as a box, or, if it has few voxels, as boxes of one voxel."""
     if lows.min() < 0:
         raise FileError("a model lies outside of the grid that voxtool stored")
     for (model, placing), low in zip(placed, lows, strict=True):
         file.seek(model.offset)
         voxels = np.frombuffer(file.read(4 * model.count), np.uint8).reshape(-1, 4)
-        values = np.zeros(model.extent, np.uint8)
         if (voxels[:, :3] >= model.extent).any():
             raise FileError("a voxel lies outside of its model")
+        if SPARSE * model.count < prod(model.extent):
+            voxels = voxels[np.unique(voxels[:, :3], axis=0, return_index=True)[1]]
+            yield Boxes(low + placing.places(voxels, model.extent), voxels[:, 3, None, None, None])
+            continue
+        values = np.zeros(model.extent, np.uint8)
         values[tuple(voxels[:, :3].T)] = voxels[:, 3]
         yield Boxes(low[None], placing.turned(values)[None])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from math import prod
+from math import ceil, isfinite, prod
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -89,13 +89,24 @@ class Rule(NamedTuple):
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Return which of the values are set, bool of the same shape."""
         if self.threshold is not None:
-            return values >= self.threshold
+            return values >= _least(self.threshold, values.dtype)
         if self.label is not None:
-            return values == self.label
+            return values == _exactly(self.label, values.dtype)
         if self.below is not None:
             return values < self.below
         found = values != 0
         return found & (values == values) if values.dtype.kind == "f" else found
+
+
+def _least(threshold: float, dtype: np.dtype) -> float:
+    """Return a threshold as a number that compares exactly with values of a type: numpy would
+    compare 64-bit integers with a float as float64."""
+    return ceil(threshold) if dtype.kind in "iu" and isfinite(threshold) else threshold
+
+
+def _exactly(label: float, dtype: np.dtype) -> float:
+    """Return a label as a number that compares exactly with values of a type."""
+    return int(label) if dtype.kind in "iu" and float(label).is_integer() else label
 
 
 class Stored(NamedTuple):
@@ -286,7 +297,7 @@ def grid_of_text(text: str) -> Grid | None:
         found = json.loads(text)
         place = [tuple(map(float.fromhex, found[name])) for name in ("origin", "pitch")]
         return Grid(tuple(map(int, found["shape"])), *place)  # pyright: ignore
-    except (ValueError, TypeError, KeyError, OverflowError, GridError):
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError, GridError):
         return None
 
 

@@ -4,7 +4,7 @@ The array `occupancy` of an image of bool is UInt8, 1 where set; `count` and `co
 the other types, and `distance` of a field. Attributes of voxels have arrays of their own, and the
 names of labels are the field data `label_names`. x runs fastest; header_type UInt64, little-endian.
 Files of other programs may have their arrays inline or appended, raw, as base64 or as text,
-compressed by zlib or not.
+compressed by zlib, LZ4, LZMA or not.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
 
@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 
 from voxtool.files import vtk_xml
-from voxtool.files.streams import PACKED
+from voxtool.files.unpacked import check_unpacked
 from voxtool.files.voxels import (
     Dense,
     Frame,
@@ -116,7 +116,10 @@ def read(file: BinaryIO, size: int) -> Stored:
     check_values(image.dtype, (a, b, c))
     needed = a * b * c * image.dtype.itemsize
     text = image.dtype.itemsize if image.format == "ascii" else 1  # of a digit
-    check_length(needed, size * (PACKED if image.packed else text))
+    if image.compressor:
+        check_unpacked(needed, size)
+    else:
+        check_length(needed, size * text)
     pieces = dense_pieces(image.stream(needed), image.dtype, (a, b, c), fortran=True)
     return Stored(_frame(image, (a, b, c), 0.0 if at_cells else -0.5), pieces)
 

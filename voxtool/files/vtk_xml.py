@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import base64
 import io
+import lzma
+import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 from xml.parsers import expat
@@ -18,15 +20,44 @@ from xml.parsers import expat
 import numpy as np
 
 from voxtool.errors import FileError, printable, shown
+from voxtool.files.text_numbers import array_of_text, real, whole
+from voxtool.files.unpacked import unpacking
 from voxtool.files.voxels import Readable, check_length
 from voxtool.memory import check_memory
 
 SCAN = 1 << 16  # bytes of XML at a time
 
 KINDS = {"Int": "i", "UInt": "u", "Float": "f"}
-COMPRESSORS = ("", "vtkZLibDataCompressor")
 PLACES = ("CellData", "PointData")
 MOST_ARRAYS = 1000
+DEEPEST = 64  # elements inside elements
+MOST_TOKEN = 1 << 20  # bytes of one tag
+LZMA_MEMORY = 1 << 27  # twice what its highest setting takes
+
+
+def _unzip(data: bytes, size: int) -> bytes:
+    return zlib.decompressobj().decompress(data, size)
+
+
+def _unlzma(data: bytes, size: int) -> bytes:
+    return lzma.LZMADecompressor(memlimit=LZMA_MEMORY).decompress(data, size)
+
+
+def _unlz4(data: bytes, size: int) -> bytes:
+    try:
+        from numcodecs.lz4 import decompress
+    except ImportError:
+        raise FileError(
+            "is packed by LZ4, which needs numcodecs: pip install 'voxtool[formats]'"
+        ) from None
+    return bytes(decompress(struct.pack("<I", size) + data))  # which stores the size before
+
+
+UNPACKERS: dict[str, Callable[[bytes, int], bytes]] = {
+    "vtkZLibDataCompressor": _unzip,
+    "vtkLZMADataCompressor": _unlzma,
+    "vtkLZ4DataCompressor": _unlz4,
+}
 
 
 @dataclass
@@ -41,7 +72,7 @@ class Image:
     place: str = ""  # CellData or PointData
     dtype: np.dtype = field(default_factory=lambda: np.dtype("u1"))
     header: np.dtype = field(default_factory=lambda: np.dtype("<u4"))
-    packed: bool = False  # compressed
+    compressor: str = ""  # of UNPACKERS, or none
     format: str = ""  # ascii, binary or appended
     encoding: str = ""  # of appended data: raw or base64
     start: int = 0  # of an appended array in the file
@@ -51,7 +82,7 @@ class Image:
         """Return the array as a stream of bytes; FileError if it does not have `needed` of them."""
         if self.format == "ascii":
             check_memory(100 * len(self.text), "an array of text")
-            values = np.array(self.text.split(), np.float64).astype(self.dtype)
+            values = array_of_text(self.text.encode(), self.dtype)
             check_length(needed, values.nbytes)
             return io.BytesIO(values.tobytes())
         if self.format == "appended":
@@ -61,7 +92,7 @@ class Image:
             source = io.BytesIO("".join(self.text.split()).encode())
         if self.format == "binary" or self.encoding == "base64":
             source = _Stream(_decoded(source))
-        if self.packed:
+        if self.compressor:
             return _Stream(self._inflated(source, needed))
         (held,) = self._numbers(source, 1)
         check_length(needed, held)
@@ -74,16 +105,23 @@ class Image:
         return np.frombuffer(data, self.header).tolist()
 
     def _inflated(self, source: Readable, needed: int) -> Iterator[bytes]:
-        """Yield the blocks of a compressed array."""
+        """Yield the blocks of a compressed array; the last one may be shorter, then `last` is its
+        size, otherwise 0."""
         blocks, size, last = self._numbers(source, 3)
-        if blocks * size > needed + size or max(size, last) > needed or blocks > needed:
+        whole_blocks = blocks - (last > 0)
+        if whole_blocks * size + last != needed or last > size or blocks > needed:
             raise FileError("its compressed blocks are not those of its array")
-        for packed in self._numbers(source, blocks):
-            if packed > 2 * size + 1024:
+        check_memory(3 * min(size, needed), "a compressed block of its array")
+        for number, packed in enumerate(self._numbers(source, blocks)):
+            content = size if number < whole_blocks else last
+            if packed > 2 * content + 1024:
                 raise FileError("a compressed block is longer than its content")
             data = source.read(packed)
             check_length(packed, len(data))
-            yield zlib.decompressobj().decompress(data, size)
+            with unpacking(f"compressed block {number}"):
+                found = UNPACKERS[self.compressor](data, content)
+            check_length(content, len(found))
+            yield found
 
 
 class _Stream:
@@ -91,18 +129,21 @@ class _Stream:
 
     def __init__(self, parts: Iterator[bytes]) -> None:
         self._parts = parts
-        self._left = b""
+        self._part, self._at = b"", 0
 
     def read(self, size: int, /) -> bytes:
         """Return the next `size` bytes, fewer at the end."""
-        found = [self._left]
-        count = len(self._left)
-        while count < size and (part := next(self._parts, None)) is not None:
-            found.append(part)
-            count += len(part)
-        whole = b"".join(found)
-        self._left = whole[size:]
-        return whole[:size]
+        found, count = [], 0
+        while count < size:
+            if self._at == len(self._part):
+                if (part := next(self._parts, None)) is None:
+                    break
+                self._part, self._at = part, 0
+            piece = self._part[self._at : self._at + size - count]
+            self._at += len(piece)
+            count += len(piece)
+            found.append(piece)
+        return b"".join(found)
 
 
 def _decoded(source: Readable) -> Iterator[bytes]:
@@ -113,7 +154,8 @@ def _decoded(source: Readable) -> Iterator[bytes]:
         while data:
             end = data.find(b"=")
             end = len(data) if end < 0 else end // 4 * 4 + 4
-            yield base64.b64decode(data[:end], validate=True)
+            with unpacking("base64"):
+                yield base64.b64decode(data[:end], validate=True)
             data = data[end:]
         if mark:
             return
@@ -145,7 +187,7 @@ class _Parser:
         self.pieces = 0
         self.arrays: list[tuple[str, dict[str, str], list[str]]] = []  # place, attributes, text
         self.active: dict[str, str] = {}  # names of the active scalars, by place
-        self.place = ""
+        self.place, self.depth = "", 0
         self.order = "<"
         self.text: list[str] | None = None
         self.data = -1  # where appended data begin
@@ -161,6 +203,8 @@ class _Parser:
         try:
             while self.data < 0 and (part := file.read(SCAN)):
                 self.expat.Parse(part)
+                if file.tell() - max(self.expat.CurrentByteIndex, 0) > MOST_TOKEN:
+                    raise FileError(f"a tag of more than {MOST_TOKEN >> 20} MiB: it is damaged")
         except expat.ExpatError as error:
             if self.data < 0:
                 raise FileError(f"is no XML: {error}") from None
@@ -176,22 +220,26 @@ class _Parser:
         image = self.image
         if self.data >= 0:
             return
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise FileError(f"elements inside more than {DEEPEST} others: it is damaged")
         if name == "VTKFile":
             self.order = ">" if attributes.get("byte_order") == "BigEndian" else "<"
-            compressor = attributes.get("compressor", "")
-            if compressor not in COMPRESSORS:
-                raise FileError(f"is packed by {printable(compressor)[:40]}: save it with zlib")
-            image.packed = bool(compressor)
-            image.header = _dtype(attributes.get("header_type", "UInt32"), self.order)
+            image.compressor = attributes.get("compressor", "")
+            if image.compressor and image.compressor not in UNPACKERS:
+                raise FileError(
+                    f"is packed by {printable(image.compressor)[:40]}: save it with zlib"
+                )
+            image.header = dtype_of(attributes.get("header_type", "UInt32"), self.order)
         elif name == "ImageData":
-            image.extent = tuple(map(int, _words(attributes.get("WholeExtent", ""), 6)))
+            image.extent = tuple(map(whole, _words(attributes.get("WholeExtent", ""), 6)))
             for key in ("Origin", "Spacing", "Direction"):
                 if key in attributes:
                     words = _words(attributes[key], 9 if key == "Direction" else 3)
-                    setattr(image, key.lower(), tuple(map(float, words)))
+                    setattr(image, key.lower(), tuple(map(real, words)))
         elif name == "Piece":
             self.pieces += 1
-            words = tuple(map(int, _words(attributes.get("Extent", ""), 6)))
+            words = tuple(map(whole, _words(attributes.get("Extent", ""), 6)))
             if image.extent and words != image.extent:
                 raise FileError("its piece is not the whole image: save it as one")
         elif name in PLACES:
@@ -205,6 +253,7 @@ class _Parser:
             self.data = self.expat.CurrentByteIndex
 
     def end(self, name: str) -> None:
+        self.depth -= 1
         if name in PLACES:
             self.place = ""
         elif name == "DataArray":
@@ -225,14 +274,14 @@ class _Parser:
         active = [a for a in found if a[1].get("Name") == self.active.get(a[0])]
         image = self.image
         image.place, attributes, text = (active or sorted(found, key=lambda a: a[0]))[0]
-        image.dtype = _dtype(attributes.get("type", ""), self.order)
+        image.dtype = dtype_of(attributes.get("type", ""), self.order)
         image.format, image.text = attributes.get("format", "ascii"), "".join(text)
         if image.format not in ("ascii", "binary", "appended"):
             raise FileError(f"an array of format {shown(image.format.encode())} is unknown")
         if image.format == "appended":
             if self.data < 0:
                 raise FileError("its appended data are missing")
-            image.start = self.data + int(attributes.get("offset", "0"))
+            image.start = self.data + whole(attributes.get("offset", "0"))
 
 
 def _words(text: str, count: int) -> list[str]:
@@ -242,7 +291,7 @@ def _words(text: str, count: int) -> list[str]:
     return words
 
 
-def _dtype(name: str, order: str) -> np.dtype:
+def dtype_of(name: str, order: str) -> np.dtype:
     """Return the dtype of a VTK type, such as UInt8."""
     word = name.rstrip("0123456789")
     bits = name[len(word) :]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 THREADS = 2  # drivers compile little side by side
+ALONE = "Oclgrind"  # a platform whose compiler crashes beside other threads
 
 Request = tuple[str, Mapping[str, int | str]]  # a source in kernels/, and its -D options
 
@@ -55,6 +56,7 @@ class Builder:
     def prepare(self, requests: Iterable[Request]) -> None:
         """Begin to build programs in the background, in this order, but those that are built."""
         waiting = deque(request for request in requests if _key(*request) not in self._built)
+        threads = 0 if self._of[2] == ALONE else min(THREADS, len(waiting))
 
         def build_waiting() -> None:
             with suppress(IndexError):  # none is left
@@ -63,7 +65,7 @@ class Builder:
                     with suppress(Exception):  # who uses the program meets the error
                         self.program(*request)
 
-        for _ in range(min(THREADS, len(waiting))):
+        for _ in range(threads):
             threading.Thread(target=copy_context().run, args=(build_waiting,)).start()
 
     @property
