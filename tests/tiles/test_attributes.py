@@ -34,6 +34,7 @@ from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.attribution.part_fractions import plan_part_fractions
 from voxtool.svo.stored_volume import stored_volume
 from voxtool.svo.voxelize import plan_voxelize
+from voxtool.tiles.attributed import AttributeWindowsJob
 from voxtool.tiles.fractions import BarsJob
 from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.windows import WindowsJob
@@ -368,6 +369,29 @@ def test_a_killed_run_goes_on(left: int, here: Path, monkeypatch: pytest.MonkeyP
     found[0] = 1000
     assert told(f"{less} --resume")["digest"] == whole["digest"]
     assert 1000 - found[0] == bars - left
+    assert not Path("parts.svo.h5.windows").exists()
+
+
+def test_exposed_voxels_of_a_killed_run(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows that were completed are not changed again; the others are."""
+    command = "voxelize bunny.obj --dim 200 --attributes normal --json"
+    whole, left = told(f"{command} -o whole.svo.h5"), [5]
+    complete = AttributeWindowsJob._complete_window
+
+    def dies(job: AttributeWindowsJob, *given: Any) -> None:
+        if not left[0]:
+            raise Killed
+        left[0] -= 1
+        complete(job, *given)
+
+    monkeypatch.setattr(AttributeWindowsJob, "_complete_window", dies)
+    limit = told(f"{command} --plan")["predicted_device_bytes"] * 5 // 10
+    less = f"{command} -o parts.svo.h5 --max-memory {limit}"
+    assert told(f"{less} --plan")["windows"] > 5
+    with pytest.raises(Killed):
+        run(less)
+    left[0] = 1000
+    assert told(f"{less} --resume")["digest"] == whole["digest"]
     assert not Path("parts.svo.h5.windows").exists()
 
 

@@ -107,11 +107,12 @@ def added_to_parts(job: VoxelizeJob, parts: np.ndarray) -> Bricks:
     own = PartMesh.of_mesh(mesh, parts)
     _, atlas, jobs = plan_parts(mesh, own, job.grid, "solid", fill, closed_fill, **request)
     found = []
-    for inner in jobs:
-        inner.one_part = True
-        inner.solid_octree()
-        assert inner.added is not None
-        found.append(inner.added)
+    with job.device.reporting(lambda _: None):  # not the stages within
+        for inner in jobs:
+            inner.one_part = True
+            inner.solid_octree()
+            assert inner.added is not None
+            found.append(inner.added)
     if atlas:
         found[0] = Bricks(atlas.home_of(found[0].codes), found[0].masks)
     codes = np.concatenate([one.codes for one in found])
