@@ -184,7 +184,7 @@ def grid_changes(content: Content, rng: random.Random) -> None:
 
 
 def head_changes(content: Content, rng: random.Random) -> None:
-    """What is said of attributes of voxels changes, with the types of their datasets."""
+    """Heads of attributes of voxels change, with the types of their datasets."""
     if "attributes" not in content.attributes:
         attribute_changes(content, rng)
         return
