@@ -30,7 +30,7 @@ def allowed_memory() -> int | None:
 
 @contextmanager
 def at_most(most: int | None) -> Iterator[None]:
-    """Let each request of this block take at most so many bytes, if a number is given."""
+    """Let each request of this block take at most `most` bytes; None sets no limit."""
     token = _allowed.set(most)
     try:
         yield

@@ -241,3 +241,9 @@ def test_memory_that_is_allowed() -> None:
         raise EOFError
     with pytest.raises(OSError, match="disk"), unpacked.unpacking("thing"):
         raise OSError(5, "of the disk")
+
+
+def test_points_that_unpack_to_too_much(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "points.npz").write_bytes(zipped(npy(np.zeros((99_999, 3)))))
+    monkeypatch.setattr(unpacked, "ANY_SIZE", 1 << 19)
+    refused(tmp_path / "points.npz", "unpacks to 2.4 MB")

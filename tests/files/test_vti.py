@@ -81,7 +81,7 @@ def test_every_file_of_vtk_is_read_exactly(
     dtype: str, mode: str, raw: bool, compressor: str, tmp_path: Path
 ) -> None:
     """Sizes about one and two blocks, headers of both types, both orders of bytes; the default
-    block, 32 kB, is larger than all of these arrays."""
+    block of 32 kB is larger than these arrays."""
     xml, rng = pytest.importorskip("vtkmodules.vtkIOXML"), np.random.default_rng(3)
     block = 1024 // np.dtype(dtype).itemsize
     for count in (8, block - 1, block, block + 1, 2 * block, 2 * block + 1):

@@ -119,7 +119,8 @@ def test_textures_share_the_pixels_of_an_image() -> None:
 def test_grids_that_float64_does_not_resolve(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.ones((8, 8, 8), np.uint8))
     assert voxtool.read_voxels(tmp_path / "a.npy", origin=(1e15, 0, 0)).count == 512
-    for more in ({"origin": (1e17, 0, 0)}, {"origin": (0, -1, 0), "pitch": 1e-17}):
+    wrong: list[dict[str, Any]] = [{"origin": (1e17, 0, 0)}, {"origin": (0, -1, 0), "pitch": 1e-17}]
+    for more in wrong:
         with pytest.raises(GridError, match="too small for floating point"):
             voxtool.read_voxels(tmp_path / "a.npy", **more)
 

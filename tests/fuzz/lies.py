@@ -162,7 +162,8 @@ def attribute_changes(content: Content, rng: random.Random) -> None:
         flat[place] = rng.choice((-old, 0.0, 1.0, 1e-90, 1e89, 1e-300, old * 2, old / 3, old + 1))
     else:
         flat[place] = rng.choice((0, 1, 2, old + 1, old - 1, 2 * old, old // 2, 65536))
-    rng.shuffle(flat) if rng.random() < 0.2 else None
+    if rng.random() < 0.2:
+        flat[:] = flat[::-1].copy()
     content.attributes[name] = array if array.ndim else array[()]
 
 
@@ -184,7 +185,7 @@ def grid_changes(content: Content, rng: random.Random) -> None:
 
 
 def head_changes(content: Content, rng: random.Random) -> None:
-    """What is said of attributes of voxels changes, with the types of their datasets."""
+    """Heads of attributes of voxels change, with the types of their datasets."""
     if "attributes" not in content.attributes:
         attribute_changes(content, rng)
         return

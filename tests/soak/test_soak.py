@@ -56,7 +56,7 @@ def test_random_meshes_agree_with_oracles_on_every_driver(rounds) -> None:
 def test_damaged_and_lying_files_are_used_or_refused_in_one_line(
     kind: str, request: pytest.FixtureRequest, seed: int, tmp_path: Path
 ) -> None:
-    """As the fuzzer makes and judges them; on one driver, which the seed chooses."""
+    """The fuzzer makes and judges them, on the driver that the seed chooses."""
     drivers = usable_devices()
     session = Session(tmp_path, seed, str(drivers[seed % len(drivers)][0]), effort=0)
     seconds = max(request.config.getoption("soak") / SOAKED / 2, 1)

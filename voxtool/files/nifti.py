@@ -134,7 +134,8 @@ def read_packed(file: BinaryIO, size: int) -> Stored:
 
 
 def _read(file: BinaryIO | Unpacked, check: Callable[[int, int], None]) -> Stored:
-    """Return the voxels; `check` refuses an array of so many bytes that begins at a place."""
+    """Return the voxels; `check` takes the bytes of the array and where it begins, and refuses
+    what the file cannot hold."""
     header = _read_header(file)
     try:
         shape = list(map(int, header.get_data_shape()))

@@ -11,7 +11,15 @@ import numpy as np
 
 from voxtool.errors import FileError
 from voxtool.files.streams import PathLike, open_output
-from voxtool.files.voxels import Dense, Frame, Stored, check_length, check_values, dense_pieces
+from voxtool.files.unpacked import Unpacked
+from voxtool.files.voxels import (
+    Dense,
+    Frame,
+    Stored,
+    check_length,
+    check_values,
+    dense_pieces,
+)
 from voxtool.grid import Grid
 
 HEADER = 128  # bytes of a usual header
@@ -42,7 +50,7 @@ def read(file: BinaryIO, size: int) -> Stored:
     return Stored(frame, dense_pieces(file, dtype, (a, b, c), fortran=fortran))
 
 
-def read_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
+def read_header(file: BinaryIO | Unpacked) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Return the shape of an array, whether it is in Fortran order, and its dtype."""
     try:
         version = np.lib.format.read_magic(file)

@@ -1,5 +1,5 @@
-"""Numbers of the text formats that meshio reads, held against their types before it reads them: a
-number beyond its type would wrap around or become infinite without a word."""
+"""Types of the numbers in text formats that meshio reads, which are checked before: beyond its type
+a number would wrap around or become infinite without a word."""
 
 from __future__ import annotations
 

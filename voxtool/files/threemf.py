@@ -53,7 +53,7 @@ UNITS = {
 COLOUR = re.compile(r"#[0-9A-Fa-f]{6}(?:[0-9A-Fa-f]{2})?")
 CHUNK = 1 << 16  # bytes fed to the parser at once
 MOST_TOKEN = 1 << 20  # bytes of one tag
-MOST_OBJECTS = 1 << 16  # of a model, and so many items and components
+MOST_OBJECTS = 1 << 16  # of a model; its items and components together
 EYE = np.eye(4)
 Key = tuple[str, str]  # the part of the archive, and the object's id in it
 

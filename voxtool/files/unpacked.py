@@ -12,7 +12,7 @@ import struct
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one_line, printable
 from voxtool.memory import allowed_memory
@@ -104,7 +104,7 @@ def _directory_size(file: BinaryIO) -> int:
     return found
 
 
-def open_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Unpacked:
+def open_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> BinaryIO:
     """Return an entry of a zip archive as a stream; FileError names what cannot be unpacked."""
     name = printable(entry.filename)[:80]
     for flag, state in FLAGS.items():
@@ -115,4 +115,4 @@ def open_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Unpacked:
             f"{name} is packed by method {entry.compress_type}: pack it again by deflate"
         )
     with unpacking(f"entry {name}"):
-        return Unpacked(archive.open(entry), f"entry {name}")
+        return cast("BinaryIO", Unpacked(archive.open(entry), f"entry {name}"))

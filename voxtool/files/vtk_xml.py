@@ -47,9 +47,7 @@ def _unlz4(data: bytes, size: int) -> bytes:
     try:
         from numcodecs.lz4 import decompress
     except ImportError:
-        raise FileError(
-            "is packed by LZ4, which needs numcodecs: pip install 'voxtool[formats]'"
-        ) from None
+        raise FileError("is packed by LZ4, which needs numcodecs: pip install numcodecs") from None
     return bytes(decompress(struct.pack("<I", size) + data))  # which stores the size before
 
 

@@ -36,7 +36,7 @@ def unions(device: Device, full: bool) -> int:
                 for a, b, turned in zip(low, high, inward.tolist(), strict=True)
             ]
             mesh = mesh_from_arrays(*shapes.join(*boxes))
-            grid = Grid((SIDE,) * 3, (offset,) * 3, (1.0,) * 3)
+            grid = Grid((SIDE, SIDE, SIDE), (offset, offset, offset), (1.0, 1.0, 1.0))
             expected = _union(low, high, inward)
             found = np.concatenate(list(VoxelImage.of(voxelize(mesh, grid, device=device)).slabs()))
             centres = grid.to_world(np.indices(grid.shape).reshape(3, -1).T + 0.5)
@@ -49,8 +49,8 @@ def unions(device: Device, full: bool) -> int:
 def _union(low: np.ndarray, high: np.ndarray, inward: np.ndarray) -> np.ndarray:
     """Return the voxels whose winding number is 1 or more, once each box is turned by the outermost
     one around it; faces lie a quarter of a voxel beyond whole numbers."""
-    around = ((low[:, None] <= low) & (high <= high[:, None])).all(axis=2)  # [outer, inner]
-    around &= ((low[:, None] < low) | (high < high[:, None])).any(axis=2)
+    around = np.array(((low[:, None] <= low) & (high <= high[:, None])).all(axis=2))
+    around &= ((low[:, None] < low) | (high < high[:, None])).any(axis=2)  # [outer, inner]
     volume = (high - low).prod(axis=1)
     number = np.zeros((SIDE,) * 3, np.int64)
     for box, (a, b) in enumerate(zip(low, high, strict=True)):

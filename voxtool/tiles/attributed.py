@@ -118,7 +118,7 @@ class AttributeWindowsJob(WindowsJob):
         if made is not own:
             count = self.store.voxels(key) if key in self.store else key[3] ** 3
             levels = subtree_of(made, key[3]).levels
-            self.store.put(key, Window.of(levels, made.bricks, count, made.attributes))
+            self.store.put(key, Window(levels, made.bricks, count, made.attributes))
 
     def _octree(self, key: Key) -> Octree:
         """Return a window, or a full cube."""
