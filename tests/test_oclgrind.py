@@ -59,6 +59,7 @@ from voxtool.spatial import signed_distance
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.fans import fan_of
+from voxtool.spatial.fill_rule import inside_of_closed
 from voxtool.spatial.hausdorff import hausdorff
 from voxtool.spatial.orientation import orient
 from voxtool.spatial.pseudonormals import pseudonormals
@@ -265,6 +266,7 @@ def main() -> None:
     bound_distances_of_meshes(device)
     find_faces_that_meet(device)
     orient_shells(device)
+    unite_parts(device)
     wind_a_fan(device)
     build_fields(device)
     query_fields(device)
@@ -590,6 +592,21 @@ def find_faces_that_meet(device) -> None:
     ]
     assert np.array_equal(found, met)
     assert 0 < np.count_nonzero(found) < len(faces)
+
+
+def unite_parts(device) -> None:
+    """Parts that cross, and one inside out; rows that are crossed before points."""
+    boxes = [meshes.box(low, low + 4) for low in (0, 2, 9)]
+    shells = [*boxes[:2], (boxes[2][0], boxes[2][1][:, ::-1])]
+    mesh = meshes.mesh_of(*meshes.join(*shells))
+    inside = inside_of_closed(mesh, device)
+    assert inside is not None
+    assert inside.why == "2 parts overlap; 1 part is inside out, and turned outward"
+    points = np.array([(3.1, 3.2, 3.3), (1.1, 1.2, 1.3), (10.1, 10.2, 10.3), (20.0, 1.0, 1.0)])
+    signs = [SignedDistance(mesh, rule, device)(points) < 0 for rule in ("parity", "nonzero")]
+    assert [found.tolist() for found in signs] == [
+        [False, True, True, False], [True, True, True, False],
+    ]  # fmt: skip
 
 
 def orient_shells(device) -> None:

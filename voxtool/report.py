@@ -207,8 +207,9 @@ def diagnose(
         enter("auto")
         job = plan_voxelize(mesh, grid, device=device)
         job.settle()
-        found |= {"auto": job.plan.rule, "choice": job.inside.why if job.inside else ""}
-        if found["choice"] and job.plan.fill != "parity":
+        decided = job.inside.why if job.inside and job.plan.fill != "parity" else ""
+        found |= {"auto": job.plan.rule, "choice": decided}
+        if decided:
             octrees["auto"] = job.run()
         enter("outer surface")
         surface = voxelize(mesh, grid, "surface26", device=device)
@@ -259,8 +260,8 @@ def _shell_rows(
     mesh: Mesh, topology: Topology, loops: Loops, intersecting: np.ndarray, device: Device
 ) -> list[dict[str, Any]]:
     shells = find_shells(mesh, topology, loops)
-    crossing = crossing_shells(device, mesh, shells.of, intersecting)
-    nesting = nest(mesh, shells, crossing, device)
+    crossing, clear = crossing_shells(device, mesh, shells.of, intersecting)
+    nesting = nest(mesh, shells, crossing[clear], device)
     rows = _rows(
         faces=shells.faces,
         closed=shells.closed,

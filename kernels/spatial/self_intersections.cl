@@ -212,29 +212,34 @@ int side_of(const double3 *t, double3 p)
     return fabs(volume) <= 0x1p-48 * size ? 0 : volume > 0 ? 1 : -1;
 }
 
-// Whether an edge of triangle u passes through triangle t, clear of its edges.
-bool pierced(const double3 *t, const double3 *u)
+// 2 if an edge of triangle u passes through triangle t clear of its edges, 1 if it passes through one
+// of them, otherwise 0.
+int pierced(const double3 *t, const double3 *u)
 {
-    int side[3];
+    int side[3], most = 0;
     for (uint i = 0; i < 3; ++i)
         side[i] = side_of(t, u[i]);
     for (uint i = 0; i < 3; ++i) {
         const uint j = (i + 1) % 3;
         if (side[i] * side[j] >= 0)
             continue;
-        int around = 0;
+        int least = 1, greatest = -1;
         for (uint k = 0; k < 3; ++k) {
             const double3 v[3] = {u[i], u[j], t[k]};
-            around += side_of(v, t[(k + 1) % 3]);
+            const int around = side_of(v, t[(k + 1) % 3]);
+            least = min(least, around);
+            greatest = max(greatest, around);
         }
-        if (around == 3 || around == -3)
-            return true;
+        if (least == greatest && least != 0)
+            return 2;
+        if (least * greatest >= 0)
+            most = 1;
     }
-    return false;
+    return most;
 }
 
 // found[CROSSED gid ..] = the numbers, plus 1, of other shells that a face crosses, up to CROSSED of
-// them; `of` is the shell of each face.
+// them, with CLEAR where it does so clear of edges; `of` is the shell of each face.
 __kernel void list_crossing_shells(const uint n, __global const uint *names,
                                    __global const double *vertices, __global const int *faces,
                                    __global const int *of, __global const float *nodes,
@@ -267,19 +272,21 @@ __kernel void list_crossing_shells(const uint n, __global const uint *names,
             const uint first = (child - first_leaf) * LEAF;
             for (uint j = first; j < min(first + LEAF, n); ++j) {
                 const uint other = names[j] / 3;
-                bool known = of[other] == of[own];
-                for (uint k = 0; k < listed; ++k)
-                    known |= found[CROSSED * (size_t)gid + k] == of[other] + 1;
-                if (known)
+                uint place = 0;
+                __global int *own_list = found + CROSSED * (size_t)gid;
+                while (place < listed && (own_list[place] & ~CLEAR) != of[other] + 1)
+                    ++place;
+                const bool known = place < listed;
+                if (of[other] == of[own] || (known ? own_list[place] & CLEAR : listed == CROSSED))
                     continue;
                 double3 u[3];
                 for (uint k = 0; k < 3; ++k)
                     u[k] = corner(vertices, faces, other, k);
-                if (beside(u, low, high) || !(pierced(t, u) || pierced(u, t)))
+                const int through = beside(u, low, high) ? 0 : max(pierced(t, u), pierced(u, t));
+                if (through == 0)
                     continue;
-                found[CROSSED * (size_t)gid + listed++] = of[other] + 1;
-                if (listed == CROSSED)
-                    return;
+                own_list[place] = (of[other] + 1) | (through == 2 ? CLEAR : 0);
+                listed += !known;
             }
         }
     }

@@ -13,7 +13,7 @@ from helpers_cli import fail, run, told
 
 import voxtool
 from voxtool.adf import build, plan
-from voxtool.adf.build import plan_adf
+from voxtool.distances import plan_field
 from voxtool.adf.plan import FieldPlan
 from voxtool.adf.waiting import Store
 from voxtool.files.spool import Spool
@@ -21,8 +21,8 @@ from voxtool.opencl import Device
 
 REQUESTS: list[dict[str, Any]] = [
     {},
-    {"sign": "winding", "continuous": False},
-    {"sign": "none", "bounds": False},
+    {"fill": "winding", "continuous": False},
+    {"fill": "none", "bounds": False},
     {"max_bytes": 600_000},
     {"max_level": 1},
 ]
@@ -51,7 +51,7 @@ def test_windows_make_the_field(
     whole = voxtool.build_adf(mesh, **request)
     counts = windows_counted(monkeypatch)
     stores: Callable[[], Store] | None = partial(Spool, tmp_path / "a") if stored else None
-    job = plan_adf(mesh, stores=stores, **request).with_(window=100, stored=stored)
+    job = plan_field(mesh, stores=stores, **request).with_(window=100, stored=stored)
     field = job.run()
     assert field.digest() == whole.digest()
     assert field.reached == whole.reached
@@ -70,7 +70,7 @@ def test_what_exceeds_memory_waits_on_the_disk(here: Path) -> None:
     planned = told(f"{limited} --plan --json")
     assert planned["predicted_disk_bytes"] > 10_000_000
     assert "disk" in run(f"{limited} --plan").stdout
-    assert "waited on the disk" in run(limited).stderr
+    assert "waited on the disk" in run(f"{limited} -v").stderr
     before = sorted(path.name for path in here.iterdir())
     assert told(f"{limited} --json")["digest"] == whole["digest"]
     assert sorted(path.name for path in here.iterdir()) == before

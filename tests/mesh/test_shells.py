@@ -17,7 +17,9 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.shells import Patches, Shells, find_patches, find_shells
 from voxtool.mesh.topology import topology_of, volume
 from voxtool.opencl import Device
+from voxtool.spatial.fill_rule import meeting_faces
 from voxtool.spatial.nesting import Nesting, nest
+from voxtool.spatial.self_intersections import crossing_shells
 
 MOEBIUS = [(i, (i + 1) % 5, (i + 2) % 5) for i in range(5)]  # five vertices, five triangles
 
@@ -146,10 +148,15 @@ def test_what_was_flipped_is_found(seed: int, share: float) -> None:
 # Nesting
 
 
+def nesting_of(mesh: Mesh, device: Device) -> Nesting:
+    shells = shells_of(mesh)
+    crossing, clear = crossing_shells(device, mesh, shells.of, meeting_faces(mesh, device))
+    return nest(mesh, shells, crossing[clear], device)
+
+
 def nested(device: Device, *parts) -> Nesting:
     mesh = mesh_of(meshes.join(*parts))
-    found = nest(mesh, shells_of(mesh), device)
-    return Nesting(found.parents, found.depths)
+    return nesting_of(mesh, device)
 
 
 def test_spheres_in_spheres(device: Device) -> None:
@@ -196,7 +203,7 @@ def test_octahedra(device: Device, seed: int, n: int) -> None:
     tips = centres[:, None] + radii[:, None, None] * arms
     apart = np.abs(tips[None] - centres[:, None, None]).sum(axis=-1)
     holds = (apart < radii[:, None, None]).all(axis=-1) & ~np.eye(n, dtype=bool)
-    found = nest(mesh, shells_of(mesh), device)
+    found = nesting_of(mesh, device)
     for shell, parent in enumerate(found.parents.tolist()):
         if parent < 0:  # octahedra that intersect may both hold it: then it has either as parent
             assert not holds[:, shell].any()

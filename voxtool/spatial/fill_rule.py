@@ -134,8 +134,8 @@ def inside_of_closed(mesh: Mesh, device: Device) -> Inside | None:
             return None
     shells = find_shells(distinct, topology, find_loops(distinct, topology))
     meeting = meeting_faces(distinct, device)
-    crossing = crossing_shells(device, distinct, shells.of, meeting)
-    nesting = nest(distinct, shells, crossing, device)
+    crossing, clear = crossing_shells(device, distinct, shells.of, meeting)
+    nesting = nest(distinct, shells, crossing[clear], device)
     wrong = (shells.volumes < 0)[nesting.roots]
     inward = (shells.volumes < 0) ^ wrong
     inner = np.flatnonzero(nesting.parents >= 0)
@@ -144,7 +144,9 @@ def inside_of_closed(mesh: Mesh, device: Device) -> Inside | None:
     most = np.ones(len(wrong), np.int64)  # times that a face of each shell is there
     np.maximum.at(most, of[of >= 0], copies[of >= 0])
     overlap = most > 1
-    overlap[np.concatenate([crossing.ravel(), alike, nesting.parents[alike]])] = True
+    one, other = crossing.T
+    clear |= (nesting.parents[one] != other) & (nesting.parents[other] != one)  # not from within
+    overlap[np.concatenate([crossing[clear].ravel(), alike, nesting.parents[alike]])] = True
     _, way = ways_of(mesh.positions[mesh.faces])
     turned = (of >= 0) & wrong[of] ^ (way != way[first][copy])  # copies follow the first
     meeting = np.where(copies > 1, np.uint8(1), meeting[copy])

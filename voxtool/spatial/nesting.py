@@ -46,8 +46,8 @@ class Nesting:
 
 
 def nest(mesh: Mesh, shells: Shells, crossing: np.ndarray, device: Device) -> Nesting:
-    """Return the nesting of the shells of a mesh, given those that cross, of crossing_shells;
-    raises as WindingNumber."""
+    """Return the nesting of the shells of a mesh, given pairs that cross, (n, 2) int64, clear of
+    edges (crossing_shells); raises as WindingNumber."""
     count = len(shells.closed)
     crosses = distinct(np.concatenate([crossing, crossing[:, ::-1]]) @ [count, 1])
     low, high, closed = shells.low, shells.high, shells.closed.tolist()

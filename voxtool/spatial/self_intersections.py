@@ -36,8 +36,11 @@ TESTS = 1 << 23  # shared by the faces that NEAR leaves undecided; more in large
 STEPS = (4, 2, 1)  # of the rounds for a home: the share of the way to go, as its divisor
 MORE = 12  # rounds at most in which vertices move to their last home, after these
 CROSSED = 8  # shells that are listed for a face that crosses them
+CLEAR = 1 << 30  # of a listed shell: it is crossed clear of edges
 HEADERS = {
-    "spatial/self_intersections.h": program.c_constants(UNDECIDED=UNDECIDED, CROSSED=CROSSED)
+    "spatial/self_intersections.h": program.c_constants(
+        UNDECIDED=UNDECIDED, CROSSED=CROSSED, CLEAR=CLEAR
+    )
 }
 
 
@@ -73,17 +76,21 @@ def find_self_intersections(
     return result
 
 
-def crossing_shells(device: Device, mesh: Mesh, of: np.ndarray, meeting: np.ndarray) -> np.ndarray:
+def crossing_shells(
+    device: Device, mesh: Mesh, of: np.ndarray, meeting: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs of shells of which an edge of one passes through a face of the other, (n, 2)
-    int64, in rising order. Shells that only touch do not cross, nor those whose edges and faces
-    are as near as rounding. Of a face that crosses more than CROSSED shells, others are found
-    from their side.
+    int64, in rising order, and whether it does so clear of the face's edges, (n,) bool.
+
+    Shells that touch, with an end of an edge on a face, do not cross; nor do those whose edges and
+    faces are as near as rounding. If a face crosses more than CROSSED shells, others are found from
+    their side.
 
     of : (F,) int64, the shell of each face; meeting : of find_self_intersections.
     """
     some = np.flatnonzero((meeting != 0) & (of >= 0))
     if len(np.unique(of[some])) < 2:
-        return np.empty((0, 2), np.int64)
+        return np.empty((0, 2), np.int64), np.empty(0, bool)
     tree = build_tree(device, mesh, np.zeros(len(of), np.uint8), some)
     names, frame = tree.names, tree.frame
     assert names  # the tree has names
@@ -95,10 +102,12 @@ def crossing_shells(device: Device, mesh: Mesh, of: np.ndarray, meeting: np.ndar
             tree.first_leaf, found,
         )  # fmt: skip
     own = of[names.get()[: tree.count] // 3]
-    other = found.take().reshape(-1, CROSSED) - 1
-    face, slot = np.nonzero(other >= 0)
-    pairs = np.sort(np.stack([own[face], other[face, slot]], axis=1), axis=1)
-    return np.unique(pairs, axis=0)
+    listed = found.take().reshape(-1, CROSSED)
+    face, slot = np.nonzero(listed)
+    clear, other = listed[face, slot] >= CLEAR, (listed[face, slot] & ~CLEAR) - 1
+    pairs = np.sort(np.stack([own[face], other], axis=1), axis=1)
+    pairs, which = np.unique(pairs, axis=0, return_inverse=True)
+    return pairs, np.bincount(which.reshape(-1), clear, len(pairs)) > 0
 
 
 def rounds(

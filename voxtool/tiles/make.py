@@ -11,9 +11,10 @@ import numpy as np
 
 from voxtool.choices import COLOURS, DEFAULT_MODE, ELEMENTS, OPERATIONS, PRIORITIES
 from voxtool.files import write_svo
+from voxtool.files.lattices import placed
 from voxtool.files.mesh import as_mesh
 from voxtool.files.windows import Windows
-from voxtool.grid import Grid, grid_of
+from voxtool.grid import Grid
 from voxtool.mesh.appearance import Parts
 from voxtool.opencl import Device, default_device
 from voxtool.svo.attribution.request import kept_for, plan_octree
@@ -33,12 +34,13 @@ if TYPE_CHECKING:
 
 def voxelize(
     mesh: Any,
-    grid: Grid | None = None,
+    grid: Grid | str | os.PathLike[str] | None = None,
     mode: str = DEFAULT_MODE,
     *,
     client: Client | None = None,
     file: str | os.PathLike[str] | None = None,
     resume: bool = False,
+    lattice: Grid | str | os.PathLike[str] | None = None,
     dim: int | None = None,
     pitch: float | None = None,
     fill: str = "auto",
@@ -57,7 +59,8 @@ def voxelize(
 
     Parameters
     ----------
-    mesh, grid, mode, dim, pitch, fill, gap, with_surface, fraction_type, face_fractions, labels,
+    mesh, grid, mode, lattice, dim, pitch, fill, gap, with_surface, fraction_type, face_fractions,
+    labels,
     priority, attributes, colour
         As for `voxtool.voxelize`.
     client
@@ -89,9 +92,10 @@ def voxelize(
     >>> with distributed.Client("tcp://host:8786") as client:
     ...     voxtool.tiles.voxelize("bunny.obj", dim=16384, client=client, file="bunny.svo.h5")
     """
-    found = as_mesh(mesh, max_memory, kept_for(labels, attributes))
+    given = as_mesh(mesh, max_memory, kept_for(labels, attributes))
+    found, grid, *_ = placed(given, grid, lattice, dim=dim, pitch=pitch)
     whole = plan_octree(
-        found, grid_of(found, grid, dim, pitch), mode, fill=fill, gap=gap,
+        found, grid, mode, fill=fill, gap=gap,
         with_surface=with_surface, fraction_type=fraction_type, face_fractions=face_fractions,
         labels=labels, priority=priority, attributes=attributes, colour=colour, device=device,
         max_memory=max_memory,

@@ -138,7 +138,9 @@ def test_a_note_names_what_is_not_kept(here, device) -> None:
     for line in ("morph a.svo.h5 --resample --dim 20", "svo-dag a.svo.h5"):
         assert f"voxtool: {every}\n" in run(f"{line} -o c.svo.h5").stderr, line
         assert every in told(f"{line} -o c.svo.h5 --json")["notes"], line
-    assert list(plan_thin(replace(one, mode="surface26")).notes(one)) != []
+    assert list(plan_thin(replace(one, mode="surface26")).notes(replace(one, attributes=()))) == [
+        every
+    ]
     whole = plan_combine([one], device=device)
     windows = CombineWindowsJob(whole, [one])
     kept = "windows keep no attributes: more --max-memory would keep label, colour, normal"
