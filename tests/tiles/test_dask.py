@@ -180,7 +180,9 @@ def test_a_killed_run_goes_on(
     octree, _ = warned(whole().run)
     reports: list[int] = []
 
-    def die(_: WindowsJob, __: str = "") -> None:
+    def die(_: WindowsJob, what: str = "") -> None:
+        if what == EXPOSED:
+            return
         reports.append(1)
         if len(reports) == 20:
             raise KeyboardInterrupt
