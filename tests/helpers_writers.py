@@ -76,7 +76,7 @@ WRITERS = [
     Writer("voxelize", "voxelize {m}/bunny.obj --dim 100", SURFACE, "o.svo.h5"),
     Writer("xml", "voxelize {m}/bunny.obj --dim 60", SURFACE, "o.svo.xml"),
     Writer("surface in windows", "extract {m}/big.svo.h5 --max-memory 1M",
-        ("", "--style voxel-faces"), "o.ply"),
+        ("--style marching-cubes --level 0", "--style voxel-faces"), "o.ply"),
     Writer("field on disk", "adf-build {m}/bunny.obj --max-level 6 --max-memory 12M",
         ("--tolerance 1e-3", "--tolerance 2e-3"), "o.adf.h5"),
     Writer("zarr", "export {m}/bunny.svo.h5", ("", "--level 1"), "o.ome.zarr"),

@@ -173,7 +173,7 @@ class _Package:
         key = model.part, group, index
         if key not in self.numbers:
             self.numbers[key] = len(self.materials)
-            self.materials.append(_material(*model.groups[group][index]))
+            self.materials.append(_material(self.name, *model.groups[group][index]))
         return self.numbers[key]
 
     def feed(self, part: str, parser: expat.XMLParserType) -> None:
@@ -370,10 +370,10 @@ class _Model(_Parser):
         return Use((part, attributes["objectid"]), matrix)
 
 
-def _material(name: str, colour: str) -> Material:
+def _material(file: str, name: str, colour: str) -> Material:
     """Return a material of a colour of 3MF, #RRGGBB or #RRGGBBAA in sRGB."""
     if not COLOUR.fullmatch(colour):
-        raise MeshError(f"colour {_name(colour)} is not as #RRGGBB: correct it")
+        raise MeshError(f"{file}: colour {_name(colour)} is not as #RRGGBB: correct it")
     *levels, opacity = bytes.fromhex(colour[1:].ljust(8, "F"))
     red, green, blue = (_linear()[level] for level in levels)
     return Material(printable(name), (red, green, blue, opacity / 255))
