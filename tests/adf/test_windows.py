@@ -13,9 +13,9 @@ from helpers_cli import fail, run, told
 
 import voxtool
 from voxtool.adf import build, plan
-from voxtool.distances import plan_field
 from voxtool.adf.plan import FieldPlan
 from voxtool.adf.waiting import Store
+from voxtool.distances import plan_field
 from voxtool.files.spool import Spool
 from voxtool.opencl import Device
 
