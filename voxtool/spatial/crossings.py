@@ -2,10 +2,9 @@
 
 Every line is sheared onto an axis, after which a crossing is decided by the signs of three areas;
 neighbours compute the area of their common edge from the same numbers, so no line passes between
-them [Woop 2013]. A line through an edge is moved by an infinitesimal. Of a line through a face,
-crossings as near as single precision of coordinates are left out: they are of copies of that face.
-Kernels:
-kernels/spatial/crossings.cl.
+them [Woop 2013]. A line through an edge is moved by an infinitesimal. If a line passes through a
+point of a face, crossings as near as single precision of coordinates are left out: they are of
+copies of that face. Kernels: kernels/spatial/crossings.cl.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is inside of a mesh: the fill rule, and the faces that are turned for it.
+"""The decision about what is inside of a mesh: the fill rule, and the faces that are turned for it.
 
 The inside of a closed mesh is the union of its parts. A part is a shell that encloses a volume; a
 shell within another, turned against it, is a cavity. Each shell is turned outward by what encloses
@@ -40,7 +40,7 @@ UNION = "winding"  # the fill rule that unites parts, once they are turned outwa
 
 @dataclass(frozen=True, eq=False)
 class Inside:
-    """What is inside of a mesh, decided once.
+    """A decision about what is inside of a mesh.
 
     oriented : Mesh or None
         The mesh to fill, if faces of the given one are turned.
@@ -54,7 +54,7 @@ class Inside:
     united : (F,) bool or None
         Faces of parts that overlap, contain one another alike, or repeat others; None if none do.
     parts, turned : int
-        The number of these parts, and of faces that were reversed.
+        The number of parts that overlap, and of faces that were reversed.
     why : str
         What was found, a clause of a report; "" if there is nothing to say.
     compared : bool
@@ -77,7 +77,7 @@ class Inside:
 
     @property
     def sign(self) -> str:
-        """How the sign of a distance is found: "pseudonormal" or "winding"."""
+        """The way in which the sign of a distance is found: "pseudonormal" or "winding"."""
         return "pseudonormal" if self.simple else "winding"
 
     def mesh_of(self, mesh: Mesh) -> Mesh:

@@ -37,7 +37,7 @@ class Nesting:
     parents : (S,) int64: an innermost shell that contains each, or -1; of two that intersect each
         other, one.
     depths : (S,) int64: how many are around each: its parent, the parent's parent and so on.
-    roots : (S,) int64: the outermost of these, or the shell itself.
+    roots : (S,) int64: the outermost shell around each, or the shell itself.
     """
 
     parents: np.ndarray

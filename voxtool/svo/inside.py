@@ -1,4 +1,4 @@
-"""What is inside of any mesh: one decision, which every command takes.
+"""One decision about what is inside of a mesh, which every command takes.
 
 Closed meshes are decided by their shells (spatial/fill_rule.py). A mesh that is open but consistent
 (consistency.py) is filled by winding numbers. For any other mesh, rules are compared (choosing.py).
