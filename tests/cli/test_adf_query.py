@@ -135,7 +135,7 @@ def test_the_points_are_not_overwritten(here: Path) -> None:
     before = Path("points.npy").read_bytes()
     result = process("adf-query ball.adf.h5 points.npy -o ./points.npy")
     assert result.returncode == 2
-    assert b"./points.npy is the input points.npy: name another output" in result.stderr
+    assert b"points.npy is the input points.npy: name another output" in result.stderr
     assert Path("points.npy").read_bytes() == before
 
 

@@ -151,14 +151,20 @@ def atomic_folder(target: str | os.PathLike[str], clobber: bool = True) -> Itera
 
 
 def _check_replaced(target: Path) -> None:
-    """Raise FileError if a folder cannot take the place of what is there."""
-    if os.path.isdir(target):
-        if os.listdir(target) and not (target / MARK).exists():
-            raise FileError(
-                f"cannot write {target}: the folder holds files that no export wrote: name another"
-            )
-    elif os.path.lexists(target):
-        raise FileError(f"cannot write {target}: it is a file, and a folder is to be written")
+    """Raise FileError if a folder cannot take the place of what is there. Another run may replace
+    it at the same time, so each look is one call."""
+    try:
+        held = os.listdir(target)
+    except FileNotFoundError:
+        held = []
+    except NotADirectoryError:
+        raise FileError(
+            f"cannot write {target}: it is a file, and a folder is to be written"
+        ) from None
+    if held and MARK not in held:
+        raise FileError(
+            f"cannot write {target}: the folder holds files that no export wrote: name another"
+        )
 
 
 def _replace_folder(made: Path, target: Path) -> None:
