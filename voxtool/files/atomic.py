@@ -175,24 +175,24 @@ def _replace_folder(made: Path, target: Path) -> None:
             made.rename(target)  # there is nothing, or an empty folder
             return
         except OSError as error:
-            if error.errno not in OCCUPIED or not target.is_dir():
+            if error.errno not in OCCUPIED or target.is_file():
                 raise
         if _exchanged(made, target):
             return
         aside = made.with_suffix(".old")
         with suppress(FileNotFoundError):
             target.rename(aside)
+        placed = True
         try:
             made.rename(target)
         except OSError as error:
             if error.errno not in OCCUPIED:
                 aside.rename(target)
                 raise
-        else:
+            placed = False  # another run was sooner
+        shutil.rmtree(aside, ignore_errors=True)
+        if placed:
             return
-        finally:
-            if target.exists():
-                shutil.rmtree(aside, ignore_errors=True)
 
 
 def _exchanged(one: Path, other: Path) -> bool:
