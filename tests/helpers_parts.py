@@ -32,7 +32,7 @@ class Part:
     inverted: bool
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Whether points are inside, (n,) bool."""
+        """Return which points are inside, (n,) bool."""
         near = ((points > self.vertices.min(axis=0)) & (points < self.vertices.max(axis=0))).all(1)
         near[near] = self._holds(points[near])
         return near
@@ -54,7 +54,7 @@ class Part:
         return np.count_nonzero(above, axis=1) % 2 == 1
 
     def within(self, other: Part) -> bool:
-        """Whether this part lies in another: its vertices do, and if that is not convex, points on
+        """Return whether this part lies in another: its vertices do, and if that is not convex, points on
         its faces."""
         points = self.vertices
         if (points.min(axis=0) < other.vertices.min(axis=0)).any():
@@ -76,7 +76,7 @@ class Scene:
         return meshes.mesh_of(*meshes.join(*shells))
 
     def inside(self, points: np.ndarray) -> np.ndarray:
-        """Whether winding numbers are 1 or more, once each shell is turned by what encloses it."""
+        """Return where winding numbers are 1 or more, each shell turned by what encloses it."""
         order = sorted(range(len(self.parts)), key=lambda i: -_volume(self.parts[i]))
         parent = {
             i: next((j for j in reversed(order[:n]) if self.parts[i].within(self.parts[j])), None)

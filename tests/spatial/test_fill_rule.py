@@ -1,4 +1,4 @@
-"""What is inside of closed parts that overlap, nest or repeat, against another algorithm."""
+"""Closed parts that overlap, nest or repeat: what is inside, against another algorithm."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_commands_agree_on_points(device: Device) -> None:
 
 @pytest.mark.parametrize("fill", ["parity", "nonzero", "winding"])
 def test_rules_mean_the_same_for_points_and_voxels(fill: str, device: Device) -> None:
-    """Of closed parts, inside out or not, and of an open mesh along rows."""
+    """Closed parts, inside out or not, and an open mesh along rows."""
     scenes = [random_scene(np.random.default_rng(seed)).mesh for seed in range(4)]
     scenes += [meshes.mesh_of(*meshes.open_box(0.0, 4.0, missing=side)) for side in (1, 4)]
     for mesh in scenes:

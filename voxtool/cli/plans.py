@@ -1,4 +1,4 @@
-"""The text and the facts that --plan prints of a job."""
+"""Text and facts of a job, as --plan prints them."""
 
 from __future__ import annotations
 

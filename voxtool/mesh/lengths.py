@@ -13,7 +13,7 @@ from voxtool.units import factor
 from voxtool.vector import cross, length
 
 BATCH = 1 << 18  # faces at once
-LEAST = 1e-12  # share that is told from rounding
+LEAST = 1e-12  # share that differs from rounding
 FARTHEST = 2.0**40  # voxels from a grid; vertices beyond count as there
 
 
