@@ -54,8 +54,8 @@ class Part:
         return np.count_nonzero(above, axis=1) % 2 == 1
 
     def within(self, other: Part) -> bool:
-        """Return whether this part lies in another: its vertices do, and if that is not convex, points on
-        its faces."""
+        """Return whether this part lies in another: its vertices do, and points on its faces if the
+        other is not convex."""
         points = self.vertices
         if (points.min(axis=0) < other.vertices.min(axis=0)).any():
             return False
