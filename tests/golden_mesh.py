@@ -26,6 +26,7 @@ REQUESTS = {
     "nets level 0": {"style": "surface-nets", "level": 0},
     "sharp": {"style": "sharp"},
 }
+ADAPTIVE = {"adaptive nets": {}, "adaptive blocks": {"style": "voxel-faces"}}
 DIMS = (50, 128)
 REAL_DIMS = (200,)
 
@@ -38,6 +39,10 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
         for name, request in REQUESTS.items():
             source = mesh if name == "sharp" else None
             surface = voxtool.extract(octree, source=source, device=device, **request)
+            yield f"{name} {dim}", surface.digest()
+        for name, request in ADAPTIVE.items() if dim == DIMS[0] else ():
+            half = 0.5 * max(grid.pitch)
+            surface = voxtool.extract(octree, adaptive=half, device=device, **request)
             yield f"{name} {dim}", surface.digest()
 
 

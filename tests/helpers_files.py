@@ -108,6 +108,12 @@ def constant_volume() -> TetVolume:
     return built(unstructured(mesh.points, mesh.cells, values))
 
 
+def flat_volume() -> TetVolume:
+    """A volume that holds heights."""
+    points, cells = lattice((2, 2, 2))
+    return built(unstructured(points * (1, 1, 1e-9), [("hexahedron", cells)]))
+
+
 def assert_same(a: Any, b: Any) -> None:
     """Two octrees, fields or volumes agree in all that a file holds, and in the types."""
     assert type(a) is type(b)

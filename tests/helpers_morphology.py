@@ -47,7 +47,7 @@ def morphed(dense: np.ndarray, operation: str, radius: float, shape: str) -> np.
 
 def sizes_of(dense: np.ndarray, neighbours: int) -> np.ndarray:
     """The voxels of each component by scipy, the largest first."""
-    reach = 1 if neighbours == 6 else 3
+    reach = {6: 1, 18: 2, 26: 3}[neighbours]
     labels = np.asarray(ndimage.label(dense, ndimage.generate_binary_structure(3, reach))[0])  # pyright: ignore
     return np.sort(np.bincount(labels.ravel())[1:])[::-1]
 

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import os
 import random
+import re
 import shlex
 import shutil
 import signal
@@ -214,10 +215,13 @@ def check_kill(writer: Writer, rng: random.Random, outputs: Outputs, folder: Pat
         seen = {
             name: sha
             for name, sha in made(folder).items()
-            if not name.startswith(".") and ".windows/" not in name and ".parts/" not in name
+            if not re.search(r"^\.|/\.[^/]*\.(tmp|owner)(/|$)|\.(windows|parts)/", name)
         }
         if writer.apart:
-            assert all(sha in (each.get(name) for each in known) for name, sha in seen.items())
+            odd = [
+                name for name, sha in seen.items() if sha not in (each.get(name) for each in known)
+            ]
+            assert not odd, (writer.name, number, odd)
         else:
             assert seen in [{}, *known] if old is None else seen in known, (writer.name, number)
     resumes = ["--resume"] if writer.waits and rng.random() < 0.7 else []

@@ -179,8 +179,14 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     "self-intersections: coplanar triangles": Mutation(
         "kernels/spatial/self_intersections.cl",
-        "apart_on(cross_of(n, unit(e[i])), t, u) || apart_on(cross_of(m, unit(f[i])), t, u)",
-        "apart_on(cross_of(n, unit(e[i])), t, u)",
+        "return !beyond_edge(a, b) && !beyond_edge(b, a);",
+        "return !beyond_edge(a, b);",
+        "tests/spatial/test_self_intersections.py",
+    ),
+    "self-intersections: signs in integers": Mutation(
+        "kernels/spatial/exact_sides.h",
+        "return side != 0 || most == 0 ? side : exact_side(of, d);",
+        "return side;",
         "tests/spatial/test_self_intersections.py",
     ),
     # kernels: volumes and primitives

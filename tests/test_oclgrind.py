@@ -43,6 +43,7 @@ from scipy import ndimage
 from voxtool.adf import build, query, textures
 from voxtool.adf.scene import FieldScene
 from voxtool.adf.surface.extract import extract_field_surface
+from voxtool.bench import text_peers
 from voxtool.bench.fractions import dense_of
 from voxtool.camera import Camera
 from voxtool.choices import COLOURS, METHODS
@@ -142,7 +143,7 @@ VARIANTS = {  # forced decisions of VoxelizePlan
     "levels": {"propagation": "levels", "morton": "table", "plane_tiles": True},
     "base": {"overlap": "base", "addressing": "jumps"},
     "blocked": {"blocked": True, "code_bits": 64},
-    "all": dict.fromkeys(("wide", "blocked", "tiled", "tiled_nodes"), True)
+    "all": dict.fromkeys(("wide", "blocked", "regions", "tiled", "tiled_nodes"), True)
     | {"code_bits": 64, "column_tile": 8},
 }
 
@@ -191,7 +192,7 @@ def test_every_kernel_and_variant_was_launched(run):
     wanted |= {"MORTON_TABLE", "PLANE_TILE=4", "BASE_OVERLAP", "DESCENT", "ANCESTORS"}
     wanted |= {"SIGNED", "RANKED", "GRAINED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
-    wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK"}
+    wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK", "EIGHT", "PROBED", "TABLE"}
     wanted |= {"PERSPECTIVE", "ANCHORED", "CONSTANT", "FACES=4", "FACES=6", "SLOTS=3", "SLOTS=7"}
     wanted |= {"SURFACES=2", "CELLS"}
     wanted |= {f"INTEGRATOR={name}" for name in ("LINEAR", "AVERAGE", "SAMPLED", "PREINTEGRATED")}
@@ -689,6 +690,12 @@ def query_fields(device) -> None:
     ask = query.FieldQuery(fields[0], device, sampler="hardware")
     exact = fields[0].query(points)
     assert np.allclose(ask(points).distance, exact.distance, atol=5e-3, equal_nan=True)
+    inner = points[((points > 0) & (points < 1)).all(axis=1)]
+    for run in text_peers.Peers(fields[0], device).ways(inner).values():
+        assert np.array_equal(run()[0], fields[0].query(inner).distance)
+    codes = np.arange(40, dtype=np.uint64) << np.uint64(31)
+    found = (text_peers.decode(codes, device, by_table) for by_table in (False, True))
+    assert np.array_equal(*found)
 
 
 def two_views(size: tuple[int, int]) -> list[Any]:
@@ -790,6 +797,8 @@ def render_volumes(device) -> None:
                 shaded = draw(volume, rays, part, device, method, **surfaces)
                 assert (shaded[..., 3] >= picture[..., 3] - 1e-6).all()
                 assert (shaded != picture).any()
+                steep = replace(part, extinctions=50 * part.extinctions)
+                assert draw(volume, rays, steep, device, method, **surfaces).any()
         for integrator, method in itertools.product(
             ("average", "sampled:2", "preintegrated"), METHODS
         ):

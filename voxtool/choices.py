@@ -22,7 +22,7 @@ MODES = ("surface26", "surface6", "solid")  # of voxelization
 DEFAULT_MODE = "solid"
 FRACTION = "fraction"  # a mode that also says how much of each voxel is inside
 FRACTION_TYPES = ("f4", "u2", "u1")  # of stored fractions: float32, and whole numbers
-# Of a voxel, at low and high x, y and z.
+# The faces of a voxel, at low and high x, y and z.
 FACE_NAMES = ("face_x0", "face_x1", "face_y0", "face_y1", "face_z0", "face_z1")
 OCTREE_MODES = (*MODES, "solid+surface26", "solid+fraction")
 ATTRIBUTES = ("colour", "normal", "area")  # of the voxels of a surface
@@ -34,7 +34,7 @@ PRIORITIES = ("first", "last")  # of parts that share voxels
 OPERATIONS = ("union", "intersection", "difference", "xor")  # on sets of voxels
 MORPHOLOGY = ("dilate", "erode", "open", "close", "shell")  # operations
 ELEMENTS = ("ball", "cube", "cross")  # by which voxels are dilated
-NEIGHBOURS = (6, 26)  # of a voxel: across faces; also across edges and corners
+NEIGHBOURS = (6, 18, 26)  # of a voxel: across faces; also across edges; and across corners
 LATTICES = {"D3Q19": 19, "D3Q27": 27}  # of lattice Boltzmann methods: their links, with the rest
 FLUIDS = ("unset", "set")  # which voxels are the fluid
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets", "sharp")  # of extracted surfaces

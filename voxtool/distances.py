@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.build import FieldJob, plan_adf
 from voxtool.choices import FIELD_SIGNS, FILLS, POINT_FILLS
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
@@ -21,15 +20,15 @@ from voxtool.spatial import insides
 from voxtool.spatial.distance import POINT_BYTES, POINTS_AT_ONCE
 from voxtool.spatial.fill_rule import Inside, inside_of_closed
 from voxtool.spatial.signed_distance import SignedDistance, distance_bytes
-from voxtool.svo.image import VoxelImage
 from voxtool.svo.inside import inside_of
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 if TYPE_CHECKING:
+    from voxtool.adf.build import FieldJob
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
     from voxtool.svo.octree import Octree
+    from voxtool.svo.voxelize import VoxelizeJob
 
 LOCATED_BYTES = 56  # further bytes a point for its nearest point
 SIGN_STAGES = {"pseudonormal": ["pseudo-normals"], "winding": ["moments"]}
@@ -130,6 +129,8 @@ def inside_for(mesh: Mesh, fill: str, device: Device) -> tuple[Inside, str]:
 
 def plan_field(mesh: Mesh, *, fill: str = "auto", **request: Any) -> FieldJob:
     """Return the job of building the distance field of a mesh; see voxtool.plan_adf."""
+    from voxtool.adf.build import plan_adf
+
     device = request.pop("device", None) or default_device()
     if fill == "auto":
         return plan_adf(mesh, decide=inside_of, device=device, **request)
@@ -245,6 +246,8 @@ class DistanceGridJob(Job[np.ndarray]):
         distances = self._magnitudes()
         if octree is None:
             return distances
+        from voxtool.svo.image import VoxelImage
+
         least, x = np.finfo(distances.dtype).tiny, 0
         for voxels in VoxelImage.of(octree).slabs():
             part = distances[x : x + len(voxels)]
@@ -278,8 +281,16 @@ def plan_distance_grid(
     name = np.dtype(dtype).name
     if name not in ("float64", "float32"):
         raise VoxtoolError(f"dtype {name}: choose float64 or float32")
+    if name == "float32":
+        from voxtool.grid import check_single
+
+        low = np.array(grid.origin)
+        ends = np.array([*mesh.bounds, low, low + np.array(grid.shape) * grid.pitch])
+        check_single("the array", grid.pitch, np.ptp(ends, axis=0).sum(), "leave out --float32")
     device, voxels = device or default_device(), None
     if fill != "none":
+        from voxtool.svo.voxelize import plan_voxelize
+
         voxels = plan_voxelize(mesh, grid, fill=fill, gap=gap, device=device, max_memory=max_memory)
     magnitudes = DistancePlan(len(mesh.faces), "none", located=False)
     plan = DistanceGridPlan(grid.shape, name, magnitudes, voxels.plan if voxels else None)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,6 +31,7 @@ IGNORED = 1 / 512  # of a voxel that a mesh reaches beyond a grid: it is rounded
 MOST = 1e90  # extent; volumes are in the range of float64
 MOVE = "move the mesh to the origin"
 LEAST_PITCH = 1e-95  # of an extent of 1 / MOST
+SINGLE = 2.0**-126, 2.0**127  # lengths that float32 holds to 24 bits
 
 
 @dataclass(frozen=True)
@@ -321,6 +322,17 @@ def _check_resolution(
         raise GridError(
             f"voxels of {min(pitch):g} are too small for floating point at coordinate "
             f"{farthest.max():g}: {instead}, or choose larger voxels"
+        )
+
+
+def check_single(kind: str, pitch: Any, places: Any, instead: str) -> None:
+    """Raise GridError if float32 does not hold the sizes of voxels, or coordinates or distances."""
+    sizes, places = np.abs(pitch), np.abs(places)
+    if sizes.min() < SINGLE[0] or max(sizes.max(), places.max()) > SINGLE[1]:
+        raise GridError(
+            f"{kind} holds float32, and lengths here are {sizes.min():.3g} to "
+            f"{max(sizes.max(), places.max()):.3g}, of {SINGLE[0]:.2g} to {SINGLE[1]:.2g} that "
+            f"float32 holds: {instead}"
         )
 
 

@@ -16,7 +16,7 @@ FIRST = (
     (17, 119, 51), (250, 128, 114), (64, 224, 208), (139, 90, 43), (51, 34, 136), (240, 230, 70),
     (176, 196, 222), (128, 0, 0), (0, 206, 0), (255, 20, 147), (143, 188, 143), (40, 60, 90),
 )  # fmt: skip
-# Of each further colour: steps of the hue, of the largest and of the smallest part, in 2**-32 of
+# Further colours: steps of the hue, of the largest and of the smallest part, in 2**-32 of
 # their range: powers of 1 / 1.22074, whose multiples fill a cube evenly [Roberts 2018].
 STEPS = (3518319155, 2882110345, 2360945575)
 LARGEST, SMALLEST = (110, 250), (10, 60)  # of the largest part from 0 to 255; % of the largest

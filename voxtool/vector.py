@@ -71,3 +71,15 @@ def cross_component(u: Twofold, v: Twofold, i: int, j: int) -> Twofold:
     low = low + ((one[1] - other[1]) + ((uh[i] * vl[j] + ul[i] * vh[j])
                                         - (uh[j] * vl[i] + ul[j] * vh[i])))  # fmt: skip
     return high, low
+
+
+def triple_product(u: Twofold, v: Twofold, w: Twofold) -> np.ndarray:
+    """Return u . (v x w) of (3, ...) vectors, to about 2^-100 of its terms."""
+    total = low = np.zeros_like(u[0][0])
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        other, rest = cross_component(v, w, j, k)
+        high, part = product(u[0][i], other)
+        low = low + (part + (u[0][i] * rest + u[1][i] * other))
+        total, lost = difference(total, -high)
+        low = low + lost
+    return total + low

@@ -10,8 +10,8 @@
 // The numbers of a bundle of sides of the rim, from q to r: its centre, from which these are
 // counted; its squared radius times the squared reach; the sums of r, of its products of two and of
 // three coordinates, less those of q; and the moments of the triangles between the centre and the
-// sides. Order of coefficients as in moments.h. Of a book: the sums of its corners q, with the signs of
-// the faces, and instead of moments the sum of the signs and the squared radius.
+// sides. Order of coefficients as in moments.h. A book has the sums of its corners q, with the
+// signs of the faces, and instead of moments the sum of the signs and the squared radius.
 enum { CENTRE = 0, FAR = 3, ONE = 4, TWO = 7, THREE = 13, RIM = 23, NET = 23, RADIUS = 24 };
 
 // Side i of the rim: its start q, or with `way` = 3 LEAF the way from q to r; of a book its sign, 0, 0.

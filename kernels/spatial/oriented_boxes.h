@@ -1,4 +1,4 @@
-// Boxes of nodes whose axes follow the triangles [Gottschalk 1996]. Of a patch of a surface they are
+// Boxes of nodes whose axes follow the triangles [Gottschalk 1996]. Boxes of a patch of a surface are
 // flat, so that fewer are within reach of a point. Host side: voxtool/spatial/distance.py.
 
 // Exceeds the rounding errors of places along the axes, in single precision: of a point within NEAR

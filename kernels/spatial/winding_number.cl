@@ -3,6 +3,7 @@
 #include "spatial/angles.h"
 #include "spatial/moments.h"
 #include "spatial/solid_angles.h"
+#include "spatial/twofold.h"
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
 
@@ -130,11 +131,51 @@ __kernel void node_moments(const uint below, const uint count, __global const fl
     store_moments(child_moments(all, node, child), centre, far * far * radius * radius, &m);
 }
 
-// The solid angle of a leaf's triangles is twice the sum of angle_of over them.
+// The vector of a leaf's triangle as of triangle_vectors, with twice the precision.
+NOINLINE double2 precise_vector(__global const double *leaf, uint lane, double3 p)
+{
+    const double from[3] = {p.x, p.y, p.z}, foot = leaf[9 * LEAF + lane];
+    twofold a[3], b[3], c[3], normal[3];
+    double e[3], g[3];
+    for (uint i = 0; i < 3; ++i) {
+        e[i] = leaf[(3 + i) * LEAF + lane];
+        g[i] = leaf[(6 + i) * LEAF + lane];
+        a[i] = sum_of(leaf[i * LEAF + lane], -from[i]);
+        b[i] = plus(a[i], (twofold){e[i], 0});
+        c[i] = plus(plus(a[i], product_of(foot, e[i])), (twofold){g[i], 0});
+    }
+    for (uint i = 0; i < 3; ++i) {
+        const uint j = (i + 1) % 3, k = (i + 2) % 3;
+        normal[i] = plus(product_of(e[j], g[k]), product_of(-e[k], g[j]));
+    }
+    const twofold u = root_of(dot_of(a, a)), v = root_of(dot_of(b, b)), w = root_of(dot_of(c, c));
+    const twofold first = plus(times(times(u, v), w), times(dot_of(a, b), w));
+    const twofold last = plus(times(dot_of(b, c), u), times(dot_of(c, a), v));
+    return (double2)(plus(first, last).high, dot_of(a, normal).high);
+}
+
+// The solid angle of a leaf's triangles is twice the sum of angle_of over them. Near an edge, as above
+// a sliver, both numbers of a vector may be as small as their rounding errors.
 double leaf_angle(__global const double *leaf, uint n, double3 p)
 {
     double4 x, y, size;
     triangle_vectors(leaf, p, &x, &y, &size);
+    const long4 small = fabs(x) + fabs(y) < 0x1p-38 * size;
+    if (any(small)) {
+        double xs[LEAF], ys[LEAF];
+        long precise[LEAF];
+        vstore4(x, 0, xs);
+        vstore4(y, 0, ys);
+        vstore4(small, 0, precise);
+        for (uint i = 0; i < LEAF; ++i)
+            if (precise[i]) {
+                const double2 vector = precise_vector(leaf, i, p);
+                xs[i] = vector.x;
+                ys[i] = vector.y;
+            }
+        x = vload4(0, xs);
+        y = vload4(0, ys);
+    }
     const double4 angle = angle_of(y, x);
     double sum = angle.x; // the last leaf may hold fewer triangles
     sum += n > 1 ? angle.y : 0;

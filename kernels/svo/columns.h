@@ -95,8 +95,9 @@ bool take_share(TRIANGLES, int kind, triangle *t, columns *c)
 // ---- the set of active level-1 nodes
 
 // Bits in Morton order, with the number of set bits before each word, give the index of an active node
-// in constant time. In large grids, only active blocks of 8 x 8 x 8 nodes have bits; `block_words`, a
-// set of the same form, holds these blocks.
+// in constant time. In large grids, only active blocks of 8 x 8 x 8 nodes have bits, and `block_words`,
+// a set of the same form, holds these blocks; in larger ones only active regions of 8 x 8 x 8 blocks
+// have bits in that, which `region_words` holds. While blocks are found, regions take their place.
 
 uint set_index(__global const uint *words, __global const uint *ranks, CODE code)
 {
@@ -106,25 +107,30 @@ uint set_index(__global const uint *words, __global const uint *ranks, CODE code
 
 #ifdef DESCENT // with the octree, and its offsets from the root's level down to level 0
 #define ACTIVE_SET_PARAMETERS                                                                      \
-    __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
+    __global const uint *region_words, __global const uint *region_ranks,                          \
+        __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
         __global const uint *ranks, __global const svo_node *tree, __global const uint *tree_offsets, \
         const uint top
-#define ACTIVE_SET block_words, block_ranks, words, ranks, tree, tree_offsets, top
-#define NO_ACTIVE_SET 0, 0, 0, 0, 0, 0, 0
+#define ACTIVE_SET region_words, region_ranks, block_words, block_ranks, words, ranks, tree, tree_offsets, top
+#define NO_ACTIVE_SET 0, 0, 0, 0, 0, 0, 0, 0, 0
 #else
 #define ACTIVE_SET_PARAMETERS                                                                      \
-    __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
+    __global const uint *region_words, __global const uint *region_ranks,                          \
+        __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
         __global const uint *ranks
-#define ACTIVE_SET block_words, block_ranks, words, ranks
-#define NO_ACTIVE_SET 0, 0, 0, 0
+#define ACTIVE_SET region_words, region_ranks, block_words, block_ranks, words, ranks
+#define NO_ACTIVE_SET 0, 0, 0, 0, 0, 0
 #endif
 
-// The code under which the bit of a level-1 node is stored.
+// The code under which the bit of a level-1 node, or of a block or region, is stored.
 CODE stored_code(ACTIVE_SET_PARAMETERS, CODE code)
 {
     if (!block_words)
         return code;
-    return (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
+    CODE block = code >> 9;
+    if (region_words)
+        block = (CODE)set_index(region_words, region_ranks, block >> 9) << 9 | (block & 511);
+    return (CODE)set_index(block_words, block_ranks, block) << 9 | (code & 511);
 }
 
 // ---- storage of boxes and voxels

@@ -4,8 +4,8 @@
 // node is 0 if it is empty, and INSIDE if it is an inside leaf. Otherwise a brick's word is its
 // mask, which also serves its octants of 2 x 2 x 2 voxels (a byte) and its voxels (a bit), and a
 // coarser node's word is the index of its first child. Nodes are numbered from the root; bricks
-// start at first_brick. Of the nodes of size 2^finest, those are drawn of whose voxels at least the
-// share `least` is set.
+// start at first_brick. Nodes of size 2^finest are drawn if at least the share `least` of their
+// voxels is set.
 //
 // Packets of rays follow packets.h. Options: LANES; DEPTHS, for depths instead of a picture;
 // CELLS, for the cells that are met, too.

@@ -15,16 +15,14 @@ __kernel void count_tiles(TRIANGLES, const int kind, __global uint *tiles)
 
 // ---- storage of boxes
 
-// Put the bit of a box of 2^level voxels: into bricks, the volume of level-1 nodes, or that of blocks.
+// Put the bit of a box of 2^level voxels: into bricks, or a set of nodes, of blocks or of regions.
 void put_box(sink *out, int level, ACTIVE_SET_PARAMETERS, uint3 box)
 {
     if (level == 0) {
         put_voxel(out, ACTIVE_SET, box);
         return;
     }
-    CODE code = morton_encode(box);
-    if (level == NODE_LEVEL)
-        code = stored_code(ACTIVE_SET, code);
+    const CODE code = stored_code(ACTIVE_SET, morton_encode(box));
     put(out, (uint)(code >> 5), 1u << (uint)(code & 31));
 }
 
@@ -35,7 +33,7 @@ void put_box(sink *out, int level, ACTIVE_SET_PARAMETERS, uint3 box)
 
 // Set the bits of boxes of 2^level voxels, widened by `pad` along x: those whose closed cube touches a
 // triangle (`kind` is TOUCHED), or the 6-separating set (SEPARATING). Boxes are voxels, level-1 nodes
-// (level 3), or blocks of 8 x 8 x 8 of those (level 6).
+// (level 3), blocks of 8 x 8 x 8 of those (level 6), or regions of 8 x 8 x 8 blocks (level 9).
 __kernel void set_boxes(TRIANGLES, const int kind, ACTIVE_SET_PARAMETERS,
                         volatile __global uint *target)
 {
@@ -73,14 +71,13 @@ __kernel void write_mortons(__global const uint *words, const uint n, __global c
         codes[out++] = base | (CODE)popcount((word & -word) - 1u);
 }
 
-// Set the bits of level-1 nodes, given by their codes, or of the blocks that contain them.
+// Set the bits of level-1 nodes, given by their codes, or of the boxes of 2^level voxels around them.
 __kernel void activate_nodes(__global const CODE *codes, const uint n, const int level,
                              ACTIVE_SET_PARAMETERS, volatile __global uint *target)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const CODE code =
-        level == NODE_LEVEL ? stored_code(ACTIVE_SET, codes[gid]) : codes[gid] >> 9;
+    const CODE code = stored_code(ACTIVE_SET, codes[gid] >> (3 * (level - NODE_LEVEL)));
     atomic_or(&target[(uint)(code >> 5)], 1u << (uint)(code & 31));
 }

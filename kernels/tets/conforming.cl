@@ -94,7 +94,7 @@ __kernel void write_pieces(__global const uint *cells, KIND, const uint n,
 }
 
 // ---- measuring. `side` is the longest side of the mesh; a shape is the sign of the volume plus 1,
-// with FLAT, DOUBTFUL or BENT.
+// with FLAT, THIN, DOUBTFUL or BENT.
 
 double3 point_at(__global const double *points, const uint vertex) { return vload3(vertex, points); }
 
@@ -110,10 +110,13 @@ double volume_of(const double3 a, const double3 b, const double3 c, double *magn
     return term.x + term.y + term.z;
 }
 
-uint shape_of(const double volume, const double size, const double side)
+// `face` is the largest product of two edges of a face.
+uint shape_of(const double volume, const double face, const double size, const double side)
 {
-    const bool flat = fabs(volume) <= FLATTEST * size * size * size || size <= SMALLEST * side;
-    return (1 + (volume > 0) - (volume < 0)) | (flat ? FLAT : 0);
+    const bool flat = fabs(volume) <= FLATTEST * size * face || face <= NEEDLE * size * size ||
+                      size <= SMALLEST * side;
+    const bool thin = fabs(volume) < THINNEST * size * face;
+    return (1 + (volume > 0) - (volume < 0)) | (flat ? FLAT : 0) | (thin ? THIN : 0);
 }
 
 __kernel void measure_tetrahedra(__global const uint *cells, const uint n,
@@ -132,7 +135,9 @@ __kernel void measure_tetrahedra(__global const uint *cells, const uint n,
     double magnitude;
     const double volume = volume_of(a, b, c, &magnitude);
     const bool doubtful = fabs(volume) <= ROUNDING * magnitude || magnitude < LEAST_MAGNITUDE;
-    shapes[gid] = shape_of(volume, size, side) | (doubtful ? DOUBTFUL : 0);
+    double face = fmax(length3(cross3(a, b)), fmax(length3(cross3(b, c)), length3(cross3(c, a))));
+    face = fmax(face, length3(cross3(b - a, c - a)));
+    shapes[gid] = shape_of(volume, face, size, side) | (doubtful ? DOUBTFUL : 0);
 }
 
 // How far vertices of a hexahedron are from the plane of their face, or outside another face, at
@@ -160,7 +165,7 @@ double bend_of(const double3 *corner, const double way, double *size)
     return bent;
 }
 
-// Of hexahedra, cell i with the pieces from starts[i] on.
+// Hexahedra: cell i has the pieces from starts[i] on.
 __kernel void measure_hexahedra(__global const uint *cells, const uint n,
                                 __global const double *points, const double side,
                                 __global const uint *starts, __global const uint *pieces,
@@ -180,7 +185,7 @@ __kernel void measure_hexahedra(__global const uint *cells, const uint n,
                             point_at(points, v.w) - o, &magnitude);
     }
     const double bent = bend_of(corner, volume < 0 ? -1.0 : 1.0, &size);
-    shapes[gid] = shape_of(volume, size, side) | (bent > PLANAR * size ? BENT : 0);
+    shapes[gid] = shape_of(volume, size * size, size, side) | (bent > PLANAR * size ? BENT : 0);
 }
 
 // ---- dropping

@@ -19,9 +19,11 @@
 #ifdef PERSPECTIVE
 #define EYE_DEPTH(middle) (-(middle))
 #define LEAST_NEARNESS -1 // of planes in front of the eye
+#define AT_EYE(middle) ((middle) * (1 << (PLANE_BITS - 1))) // a nearness: all cells there are listed
 #else
 #define EYE_DEPTH(middle) -FARTHEST
 #define LEAST_NEARNESS -FARTHEST
+#define AT_EYE(middle) FARTHEST
 #endif
 
 // The state of the rays.
@@ -136,7 +138,8 @@ ints exits_of(const floats *record, const Rays *rays, const ints active, const f
         beyond = nearer ? as_ints(out[3]) : beyond;
     }
     *nearness = greatest;
-    const ints out = active & (greatest > LEAST_NEARNESS) & (beyond == NO_CELL);
+    const ints out = active & (greatest > LEAST_NEARNESS) & (greatest < AT_EYE(rays->middle)) &
+                     (beyond == NO_CELL);
     if (!ANY(out))
         return beyond;
 #ifdef PERSPECTIVE

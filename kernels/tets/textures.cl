@@ -92,6 +92,20 @@ __kernel void place_points(__global const double *points, __global const uint *f
 
 // ---- planes and gradients
 
+#define NARROW 0x1p-20 // of a product's factors: a smaller one has lost digits, so the shortest edge is taken
+
+// A vector normal to a face.
+double3 normal_of(const double3 *corner)
+{
+    const double3 along = corner[2] - corner[0], other = corner[SIDES - 1] - corner[1];
+    const double3 product = cross3(along, other);
+#if SIDES == 3
+    if (length3(product) < NARROW * length3(along) * length3(other))
+        return cross3(corner[1] - corner[0], along); // the third edge is short
+#endif
+    return product;
+}
+
 // Normal and offset of each face of cell i, in normals[cells * face + i], and the largest distance
 // of a face's vertex, in float32, from its plane. A plane is computed from the vertices in one
 // order, whichever cell has the face. Its offset is midway between those of the outermost and the
@@ -110,7 +124,7 @@ __kernel void find_planes(__global const uint *cells, const uint n, __global con
         double3 corner[SIDES];
         for (uint i = 0; i < SIDES; ++i)
             corner[i] = vload4(loop[i], points).xyz;
-        const double3 product = cross3(corner[2] - corner[0], corner[SIDES - 1] - corner[1]);
+        const double3 product = normal_of(corner);
         const float3 normal = rounded3(product / length3(product));
         const double3 n64 = convert_double3(normal);
         double low = INFINITY, high = -INFINITY;
@@ -148,6 +162,32 @@ __kernel void find_gradients(__global const double *scalars, __global const uint
 
 #elif CORNERS == 4
 
+// Exchange the corners of a flat tetrahedron so that its shortest edge is between the first two.
+void shortest_first(double4 *corner)
+{
+    const double3 a = corner[1].xyz - corner[0].xyz, b = corner[2].xyz - corner[0].xyz;
+    const double3 c = corner[3].xyz - corner[0].xyz;
+    if (fabs(dot3(a, cross3(b, c))) >= NARROW * length3(a) * length3(b) * length3(c))
+        return;
+    uint first = 0, second = 1;
+    double least = INFINITY;
+    for (uint i = 0; i < 4; ++i)
+        for (uint j = i + 1; j < 4; ++j) {
+            const double size = length3(corner[j].xyz - corner[i].xyz);
+            if (size < least) {
+                least = size;
+                first = i;
+                second = j;
+            }
+        }
+    double4 other = corner[0];
+    corner[0] = corner[first];
+    corner[first] = other;
+    other = corner[1];
+    corner[1] = corner[second];
+    corner[second] = other;
+}
+
 // Gradient and scalar term of each tetrahedron, by the inverse of its edges, and the largest
 // difference of its scalar at a vertex from that of the vertex in float32. The term is midway
 // between those by which the cell has the scalars of its vertices.
@@ -159,8 +199,9 @@ __kernel void find_gradients(__global const uint *cells, const uint n,
     if (gid >= n)
         return;
     const uint4 v = vload4(gid, cells);
-    const double4 corner[4] = {vload4(v.x, points), vload4(v.y, points), vload4(v.z, points),
+    double4 corner[4] = {vload4(v.x, points), vload4(v.y, points), vload4(v.z, points),
                                vload4(v.w, points)};
+    shortest_first(corner);
     const double4 a = corner[1] - corner[0], b = corner[2] - corner[0], c = corner[3] - corner[0];
     const double3 along_a = cross3(b.xyz, c.xyz), along_b = cross3(c.xyz, a.xyz);
     const double3 along_c = cross3(a.xyz, b.xyz);

@@ -5,10 +5,21 @@
 // [Pineda 1988], in perspective [Olano 1997]. The function of an edge is the exact negation of that of the
 // reversed edge, in floating point too, and the edge's direction decides to which side a ray through the
 // edge belongs: faces that share an edge share it without a gap and without an overlap.
-// Options: those of textures.h and view.h.
+// Options: those of textures.h and view.h, and
+//   EXACT   vertices are projected in float64
 
 #include "tets/textures.h"
 #include "tets/view.h"
+
+#ifdef EXACT
+#define real double
+#define real4 double4
+#define to_real4(v) (v)
+#else
+#define real float
+#define real4 float4
+#define to_real4(v) convert_float4(v)
+#endif
 
 bool is_kept(__global const uchar *kept, const uint cell)
 {
@@ -43,20 +54,24 @@ __kernel void set_up_cells(TEXTURES, __global const int *neighbours, __global co
 // One work-item a vertex: its position in the picture, (X, Y, Z) with x = X / Z and y = Y / Z, and its
 // depth. In an orthographic picture Z is 1.
 __kernel void project_vertices(__global const float *vertices, const uint n,
-                               __global const double *viewpoint, __global float *projected)
+                               __global const double *viewpoint, __global real *projected)
 {
     const uint vertex = get_global_id(0);
     if (vertex >= n)
         return;
     const View view = view_of(viewpoint);
     const double3 v = convert_double3(vload4(vertex, vertices).xyz) - view.origin;
+#ifdef EXACT
+    const double x = dot3(v, view.across[0]), y = dot3(v, view.across[1]), depth = dot3(v, view.across[2]);
+#else
     const double depth = dot3(v, view.direction);
     const double x = dot3(v, view.right) / dot3(view.right, view.right);
     const double y = dot3(v, view.down) / dot3(view.down, view.down);
+#endif
 #ifdef PERSPECTIVE
-    vstore4(convert_float4((double4)(x, y, depth, depth - view.middle)), vertex, projected);
+    vstore4(to_real4((double4)(x, y, depth, depth - view.middle)), vertex, projected);
 #else
-    vstore4(convert_float4((double4)(x, y, 1, depth)), vertex, projected);
+    vstore4(to_real4((double4)(x, y, 1, depth)), vertex, projected);
 #endif
 }
 
@@ -64,7 +79,7 @@ __kernel void project_vertices(__global const float *vertices, const uint n,
 
 // A face in the picture.
 typedef struct {
-    float4 corners[SIDES];
+    real4 corners[SIDES];
     int2 columns, rows;      // of the pixels that may be in it, first and last
     float nearest, farthest; // of its corners
 } Outline;
@@ -73,38 +88,40 @@ typedef struct {
 // they are in the picture; which of a cell's vertices are on each of its faces; and the picture's size.
 #define EXPOSED                                                                                  \
     __global const int *exposed, const uint n, __global const int *cells_vertices,               \
-        __global const float *projected, __constant const uchar *sides, const int width,         \
+        __global const real *projected, __constant const uchar *sides, const int width,         \
         const int height
 #define THE_OUTLINE \
     outline_of(exposed[get_global_id(0)], cells_vertices, projected, sides, (int2)(width, height))
 
 Outline outline_of(const int face, __global const int *cells_vertices,
-                   __global const float *projected, __constant const uchar *sides, const int2 size)
+                   __global const real *projected, __constant const uchar *sides, const int2 size)
 {
     Outline o;
     __global const int *cell = cells_vertices + CORNERS * (size_t)(face / FACES);
     __constant const uchar *side = sides + SIDES * (face % FACES);
     o.nearest = FARTHEST;
     o.farthest = -FARTHEST;
+    float4 corners[SIDES];
     for (uint i = 0; i < SIDES; ++i) {
-        const float4 p = o.corners[i] = vload4(cell[side[i]], projected);
+        o.corners[i] = vload4(cell[side[i]], projected);
+        const float4 p = corners[i] = convert_float4(o.corners[i]);
         o.nearest = p.w < o.nearest ? p.w : o.nearest;
         o.farthest = p.w > o.farthest ? p.w : o.farthest;
     }
-    cover(o.corners, SIDES, size, &o.columns, &o.rows);
+    cover(corners, SIDES, size, &o.columns, &o.rows);
     return o;
 }
 
 // Whether the ray of (x, y) enters by the face: it is on the same side of all edges.
-bool enters(const Outline *o, const float x, const float y)
+bool enters(const Outline *o, const real x, const real y)
 {
-    float from_x = o->corners[SIDES - 1].x - x * o->corners[SIDES - 1].z;
-    float from_y = o->corners[SIDES - 1].y - y * o->corners[SIDES - 1].z;
+    real from_x = o->corners[SIDES - 1].x - x * o->corners[SIDES - 1].z;
+    real from_y = o->corners[SIDES - 1].y - y * o->corners[SIDES - 1].z;
     for (uint i = 0; i < SIDES; ++i) {
-        const float to_x = o->corners[i].x - x * o->corners[i].z;
-        const float to_y = o->corners[i].y - y * o->corners[i].z;
-        const float turn = from_x * to_y - from_y * to_x;
-        const float dx = to_x - from_x, dy = to_y - from_y;
+        const real to_x = o->corners[i].x - x * o->corners[i].z;
+        const real to_y = o->corners[i].y - y * o->corners[i].z;
+        const real turn = from_x * to_y - from_y * to_x;
+        const real dx = to_x - from_x, dy = to_y - from_y;
         if (!(turn < 0 || (turn == 0 && (dy < 0 || (dy == 0 && dx < 0)))))
             return false;
         from_x = to_x;

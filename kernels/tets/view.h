@@ -20,11 +20,13 @@
 typedef struct {
     double3 origin, direction, right, down;
     double middle; // 0 where it is orthographic
+    double3 across[3]; // the dual basis of right, down, direction
 } View;
 
 View view_of(__global const double *view)
 {
-    const View v = {vload3(0, view), vload3(1, view), vload3(2, view), vload3(3, view), view[12]};
+    const View v = {vload3(0, view), vload3(1, view), vload3(2, view), vload3(3, view), view[12],
+                    {vload3(0, view + 13), vload3(1, view + 13), vload3(2, view + 13)}};
     return v;
 }
 

@@ -115,10 +115,13 @@ def test_the_report(here: Path) -> None:
     first = "voxtool: box.obj -> box.adf.h5: tolerance 0.01, sign pseudonormal; "
     assert lines[0].startswith(f"{first}{field.reached['leaves']:,} leaves in ")
     near = field.reached["errors"]["near the surface"]
-    assert f"; error near the surface rms {near['rms']:.2g} sides; " in lines[0]
+    assert (
+        f"; error near the surface rms {near['rms']:.2g} sides at {near['points']:,} points; "
+        in (lines[0])
+    )
     worst = field.reached["worst"]
     assert (
-        f" sides; {field.reached['missed']:,} leaves over the tolerance by up to "
+        f" points; {field.reached['missed']:,} leaves over the tolerance by up to "
         f"{worst['error'] - 0.01:.2g} sides: a higher --max-level helps, "
     ) in lines[0]
     assert run(f"adf-build box.obj {COARSE}").stderr.count("\n") == 1
@@ -130,6 +133,10 @@ def test_the_report(here: Path) -> None:
             f"max {errors['max']:.3g} sides; {100 * errors['within']:.2f} % of "
             f"{errors['points']:,} points within the tolerance"
         )
+    run(f"adf-build box.obj {COARSE} --no-errors -o unmeasured.adf.h5")
+    unmeasured = read_adf("unmeasured.adf.h5")
+    assert "errors" not in unmeasured.reached
+    assert unmeasured.digest() == field.digest()
     place = ", ".join(f"{x:.6g}" for x in worst["where"])
     assert lines[3] == (
         f"voxtool:   missed    {field.reached['missed']:,} leaves that could have met the "

@@ -497,3 +497,13 @@ def test_voxels_below_the_isovalue_that_the_surface_is_near(here: Path) -> None:
 
 
 # ---- quiet, verbose, and the bar
+
+
+def test_the_mesh_is_written_relative_to_an_origin(here: Path) -> None:
+    command = "extract bunny.svo.h5 --style marching-cubes --json"
+    plain = told(f"{command} -o plain.obj")
+    moved = told(f"{command} -o moved.obj --origin 100,-20,3.5")
+    assert moved["origin"] == [100, -20, 3.5]
+    assert moved["digest"] == plain["digest"]
+    own, other = (load_mesh(f"{name}.obj").vertices for name in ("plain", "moved"))
+    np.testing.assert_allclose(other, own - (100, -20, 3.5), atol=1e-13)

@@ -151,6 +151,66 @@ def test_a_plain_solid_imports_what_it_needs(tmp_path) -> None:
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, cwd=tmp_path)
 
 
+# What a command on a cube of 12 faces may import: packages, and their modules.
+EVERY = {
+    "": "__main__ arrays choices claims cli errors files job limits memory mesh morton opencl svo"
+    " vector version watch",
+    "cli": "failures inputs main options placing runner",
+    "files": "atomic formats streams",
+    "mesh": "appearance collinear mesh once topology",
+    "opencl": "builder cache device discovery driver headers launch primitives program",
+}
+READ = {"files": "companions mesh numbers obj placement unpacked", "mesh": "watertight"}
+STORED = {"": "grid", "files": "hdf5 schema svo_hdf5",
+          "svo": "attributes content layout links octree validate"}  # fmt: skip
+IMPORTED = {
+    "voxelize cube.obj --dim 64": [EVERY, READ, STORED, {
+        "cli": "in_windows many voxelize", "files": "lattices", "mesh": "lengths", "": "units",
+        "svo": "attribution build connected fill lattice plan scan voxelize",
+        "svo.attribution": "request", "svo.connected": "about", "svo.fill": "rows",
+    }],
+    "extract cube.svo.h5": [EVERY, STORED, {
+        "": "spatial", "cli": "extract", "files": "mesh_writers", "mesh": "srgb",
+        "opencl": "histopyramid", "spatial": "bvh", "svo": "exact_sums surface",
+        "svo.surface": "case_tables cut_cells dual extract isosurface plan samples words",
+    }],
+    "distance cube.obj points.txt": [EVERY, READ, {
+        "": "distances spatial", "cli": "distance many", "files": "answers ply points",
+        "mesh": "counts srgb", "svo": "inside",
+        "spatial": "boundary bvh crossings distance fans fill_rule insides pseudonormals"
+        " self_intersections signed_distance winding_number",
+    }],
+}  # fmt: skip
+
+
+def test_a_cube_imports_these_modules_alone(tmp_path) -> None:
+    """Nothing of what a simple scene does not need, and no library beside numpy, pyopencl and
+    h5py."""
+    write_obj(tmp_path / "cube.obj", *meshes.box(0.0, 1.0))
+    (tmp_path / "points.txt").write_text("0.1 0.2 0.3\n", encoding="utf-8")
+    code = (
+        "import sys; from voxtool.__main__ import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "names = {'scipy', 'networkx', 'trimesh', 'PIL', 'lxml', 'meshio'} & set(sys.modules)\n"
+        "names |= {m.partition('.')[2] for m in sys.modules if m.startswith('voxtool.')}\n"
+        "print('imported', *sorted(names), file=sys.stderr)"
+    )
+    for command, groups in IMPORTED.items():
+        allowed = {
+            f"{package}.{name}".lstrip(".")
+            for group in groups
+            for package, names in group.items()
+            for name in names.split()
+        }
+        run = [sys.executable, "-c", code, *command.split()]
+        done = subprocess.run(run, env=ENVIRONMENT, cwd=tmp_path, capture_output=True, text=True)
+        assert "imported" in done.stderr, done.stderr
+        found = set(done.stderr.split("imported", 1)[1].split())
+        assert found <= allowed, (command, sorted(found - allowed))
+        assert found >= allowed, (command, sorted(allowed - found))
+
+
 # ---- usage
 
 

@@ -14,6 +14,7 @@ import pytest
 import trimesh
 from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, run, told
 
+from voxtool.claims import machine
 from voxtool.errors import FileError
 from voxtool.files import read_svo
 from voxtool.files.manifest import Manifest
@@ -261,6 +262,25 @@ def test_a_tar_without_the_meshes_that_failed(balls) -> None:
     again = told(f"{command} --json")
     assert (again["made"], again["up_to_date"]) == (1, 1)
     assert list(members("some.tar")) == ["one.npy", "one.json", "bad.npy", "bad.json"]
+    assert not Path("some.tar.parts").exists()
+
+
+def test_a_tar_that_a_killed_run_had_packed(balls) -> None:
+    """The outputs are removed, and what was begun for them."""
+    command = f"voxelize {' '.join(balls)} --dim 8"
+    run(f"{command} -o some.tar")
+    run(f"{command} -o some.tar.parts/")
+    begun = [f".one.svo.h5.{machine()}-{process}-0.tmp" for process in (os.getpid(), 1)]
+    for name in begun:
+        Path("some.tar.parts", name).touch()
+    assert told(f"{command} -o some.tar --json")["up_to_date"] == 3
+    assert not Path("some.tar.parts").exists()
+    run(f"{command} -o some.tar.parts/")
+    Path("some.tar").unlink()
+    for name in begun:
+        Path("some.tar.parts", name).touch()
+    assert told(f"{command} -o some.tar --json")["up_to_date"] == 3
+    assert Path("some.tar").exists()
     assert not Path("some.tar.parts").exists()
 
 

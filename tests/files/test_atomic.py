@@ -345,6 +345,27 @@ def test_a_folder_is_replaced_as_a_whole(exchanges: bool, tmp_path: Path, monkey
     assert names(tmp_path) == ["o"]
 
 
+def test_a_folder_that_is_replaced_while_it_is_read_is_an_export(
+    tmp_path: Path, monkeypatch
+) -> None:
+    """Another run puts its own there and has removed half of the old one."""
+    target, names_in = tmp_path / "o", os.listdir
+    put_folder(target, "before")
+
+    def slow(path):
+        if path == target:
+            monkeypatch.undo()
+            target.rename(tmp_path / "old")
+            put_folder(target, "other")
+            (tmp_path / "old" / atomic.MARK).unlink()
+            return names_in(tmp_path / "old")
+        return names_in(path)
+
+    monkeypatch.setattr(atomic.os, "listdir", slow)
+    put_folder(target, "new")
+    assert (target / "a").read_text() == "new"
+
+
 def test_what_no_export_wrote_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "o").mkdir()
     put_folder(tmp_path / "o", "new")  # it was empty

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import meshes
 import numpy as np
 import pytest
 from helpers_field import plain_field
@@ -145,3 +147,25 @@ def test_command(tmp_path: Path) -> None:
     assert "32 x 32 x 32 samples, float32; a cell is 0.071875 x" in plan.output
     assert called("--origin", "0,0,0", "--shape", "8").exit_code == 2
     assert called("--like", "a", "--shape", "8").exit_code == 2
+
+
+@pytest.mark.parametrize("scale", [1e60, 1e-60])
+def test_lengths_that_float32_does_not_hold(scale: float, tmp_path: Path) -> None:
+    """Are refused, where others of the kind are written."""
+    vertices, faces = meshes.icosphere(1)
+    for size, refused in ((1.0, False), (scale, True)):
+        mesh = voxtool.mesh_from_arrays(size * vertices, faces)
+        field = voxtool.build_adf(mesh, max_level=3)
+        octree = voxtool.voxelize(mesh, dim=16)
+        calls = [
+            (voxtool.export, (field, tmp_path / "a.npy"), {"shape": 8}),
+            (voxtool.export, (field, tmp_path / "a.vdb"), {}),
+            (voxtool.export, (octree, tmp_path / "a.nii.gz"), {}),
+            (voxtool.export, (octree, tmp_path / "a.nvdb"), {}),
+            (voxtool.distance_grid, (mesh, octree.grid), {"dtype": "float32"}),
+        ]
+        for call, given, more in calls:
+            with pytest.raises(voxtool.VoxtoolError, match="float32") if refused else nullcontext():
+                call(*given, **more)
+    voxtool.export(octree, tmp_path / "a.vdb")
+    voxtool.distance_grid(mesh, octree.grid)

@@ -15,11 +15,14 @@ from helpers_files import run_python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import voxtool
 from voxtool import files
 from voxtool.errors import FileError, MeshError
 from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, mesh_writers, write_mesh
 from voxtool.files.mesh import load_mesh
+from voxtool.mesh.appearance import Appearance
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+from voxtool.mesh.srgb import to_linear
 
 TEXT = ("obj", "off")
 SINGLE = ("ply", "stl", "glb")  # float32
@@ -251,6 +254,32 @@ def test_headers(torus: Mesh, tmp_path: Path) -> None:
     assert len((tmp_path / "a.stl").read_bytes()) == 84 + 50 * 576
 
 
+@pytest.mark.parametrize("coloured", [False, True])
+def test_bytes_are_those_of_trimesh(torus: Mesh, coloured: bool, tmp_path: Path) -> None:
+    import trimesh
+
+    rng = np.random.default_rng(0)
+    levels = rng.integers(0, 256, (len(torus.vertices), 4), np.uint8)
+    light = np.concatenate([to_linear(levels[:, :3]), levels[:, 3:] / 255], axis=1)
+    look = (
+        Appearance((), np.full(len(torus.faces), -1, np.int32), colours=light) if coloured else None
+    )
+    mesh = Mesh(torus.vertices, torus.faces, appearance=look)
+    peer = trimesh.Trimesh(
+        mesh.vertices, mesh.faces, vertex_normals=mesh.vertices, process=False,
+        vertex_colors=levels if coloured else None,
+    )  # fmt: skip
+    write_mesh(mesh, tmp_path / "a.ply", normals=mesh.vertices)
+    assert (tmp_path / "a.ply").read_bytes() == peer.export(file_type="ply", vertex_normal=True)
+    write_mesh(mesh, tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_bytes() == peer.export(file_type="ply", vertex_normal=False)
+    write_mesh(mesh, tmp_path / "a.stl")
+    written = np.frombuffer((tmp_path / "a.stl").read_bytes()[84:], mesh_writers.STL_FACE)
+    exported = np.frombuffer(peer.export(file_type="stl")[84:], mesh_writers.STL_FACE)
+    assert np.array_equal(written["corners"], exported["corners"])
+    assert np.allclose(written["normal"], exported["normal"], atol=2**-23)
+
+
 def test_the_glb_keeps_to_its_specification(torus: Mesh, tmp_path: Path) -> None:
     write_mesh(torus, tmp_path / "a.glb", normals=torus.vertices)
     data = (tmp_path / "a.glb").read_bytes()
@@ -371,3 +400,23 @@ def test_formats_of_names() -> None:
     with pytest.raises(FileError, match="standard output has no extension"):
         files.format_of("-", files.EXPORTS)
     assert set(NORMAL_FORMATS) < set(MESH_FORMATS)
+
+
+@pytest.mark.parametrize("kind", [*TEXT, *SINGLE])
+def test_meshes_far_from_0_are_written_relative_to_an_origin(torus, kind, tmp_path) -> None:
+    origin = (5e6, -4e6, 1e7)
+    far = Mesh(torus.vertices + origin, torus.faces)
+    path = tmp_path / f"far.{kind}"
+    if kind in SINGLE:
+        with pytest.raises(FileError, match=r"relative to a point of it \(see --origin\)"):
+            write_mesh(far, path)
+    write_mesh(far, path, origin=origin)
+    assert_back(path, Mesh(far.vertices - origin, far.faces), kind)
+    grid = voxtool.Grid((8, 8, 8), tuple(o + 0.1 for o in origin), (0.1, 0.2, 0.3))
+    octree = voxtool.Octree.from_voxels([(1, 2, 3)], grid)
+    surface = voxtool.extract(octree, style="voxel-faces")
+    write_mesh(surface, path, origin=origin)
+    bounds = load_mesh(path).bounds
+    np.testing.assert_allclose(
+        bounds, [(0.2, 0.5, 1), (0.3, 0.7, 1.3)], atol=2e-9 if kind in TEXT else 1e-6
+    )

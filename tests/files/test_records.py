@@ -30,6 +30,7 @@ from helpers_files import (
     check_damaged,
     constant_volume,
     edited,
+    flat_volume,
     golden_field,
     golden_volume,
     memory_below,
@@ -102,6 +103,7 @@ CONTENTS: dict[str, Callable[[], Any]] = {
     ),
     **{f"tet {layout}": lambda layout=layout: golden_volume(layout) for layout in LAYOUTS},
     "tet constant": constant_volume,
+    "tet flat": flat_volume,
     "tet one": lambda: built(tet_mesh(CUBE[[0, 1, 3, 4]], [(0, 1, 2, 3)])),
     "tet many": lambda: built(assembly((4, 4, 3), 1)),
 }

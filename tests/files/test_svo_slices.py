@@ -14,8 +14,7 @@ from voxtool.arrays import Slices
 from voxtool.errors import FileError, MemoryLimitError
 from voxtool.files import open_svo, write_svo
 from voxtool.svo import attributes
-from voxtool.svo.merged import in_memory
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree import Octree, in_memory
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ from voxtool.spatial.hausdorff import (
     _cut,
     bound,
     directed_hausdorff,
+    faces_beyond,
     hausdorff,
 )
 
@@ -162,8 +163,8 @@ def test_cuts_lose_nothing(device: Device, reach: float) -> None:
     to = TriangleDistance(one, device)
     corners = to.tree.frame.local(one.vertices)
     pieces = corners.mean(axis=0) + 0.4 * rng.normal(size=(200, 3, 3))
-    slots, uppers = np.zeros(200, np.uint32), np.full(200, np.inf)
-    parts, bounds, covered = _cut(to, pieces, slots, uppers, reach, 1e-3)
+    parts, counts, bounds, covered = _cut(to, pieces, np.zeros(200, np.uint32), reach, 1e-3)
+    bounds = np.repeat(bounds, counts)
     grid = np.array([(i, j, 8 - i - j) for i in range(9) for j in range(9 - i)]) / 8
     points = np.einsum("gi,pij->gpj", grid, pieces).reshape(-1, 3)
     left, distances = lies_in(points, parts), brute(points, corners[None])
@@ -172,6 +173,35 @@ def test_cuts_lose_nothing(device: Device, reach: float) -> None:
     assert 0.05 < left.mean() < 1
     assert lies_in(parts.reshape(-1, 3), pieces).all()
     assert (bounds >= brute(parts.mean(axis=1), corners[None])).all()
+
+
+@pytest.mark.parametrize("height", [1e-3, 0.1])
+def test_faces_beyond_a_reach(device: Device, height: float) -> None:
+    """Faces parallel to others, one of them with a corner that is lifted, and faces beside them."""
+    flat, to = patch(9, 1, height), TriangleDistance(patch(12, 2), device)
+    vertices = flat.vertices.copy()
+    lifted = flat.faces[40, 0]
+    vertices[lifted, 2] += 0.2 * height
+    vertices[flat.faces[90, 0]] = (1.5, 0.5, 0.0)
+    mesh = mesh_of(vertices, flat.faces)
+    around = (flat.faces == flat.faces[90, 0]).any(axis=1)
+    for reach, named in ((1.3, around), (1.1, around | (flat.faces == lifted).any(axis=1))):
+        beyond, largest = faces_beyond(mesh, mesh.faces, to, reach * height)
+        assert np.array_equal(beyond, named)
+        assert largest[~beyond].max() <= reach * height
+        assert largest[~beyond].min() >= height * (1 - 1e-9)
+    assert faces_beyond(mesh, mesh.faces[:0], to, height)[0].shape == (0,)
+
+
+def test_a_face_whose_middle_alone_is_beyond(device: Device) -> None:
+    """A large face over a dent, whose corners and centroid are near."""
+    far = mesh_of([(0, 0, 0), (9, 0, 0), (0, 9, 0)], [(0, 1, 2)])
+    parts = [(0, 0, 0), (5, 0, 0), (0, 9, 0), (6, 0, 0), (9, 0, 0), (5.9, 3, 0)]
+    near = mesh_of(parts, [(0, 1, 2), (3, 4, 5)])
+    exact = directed_hausdorff(far, near, 1e-4, device=device)
+    for reach in (0.9 * exact.lower, 1.03 * exact.upper):
+        beyond, _ = faces_beyond(far, far.faces, TriangleDistance(near, device), reach)
+        assert beyond.tolist() == [reach < exact.lower]
 
 
 # ---- extremes

@@ -109,5 +109,6 @@ def test_a_face_that_is_a_point_beside_a_huge_one_has_no_side(device: Device) ->
     """In local coordinates its vertices are one, so its normal has no length to rise by."""
     small, huge = np.eye(3), 1e38 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
     mesh = mesh_of(np.concatenate([small, huge]), [(0, 1, 2), (3, 4, 5), (3, 5, 6)])
-    front = Survey(mesh, device, signed=True).winding_arguments["front"].get()
-    assert np.isnan(front).tolist() == [True, False, False]
+    sides = Survey(mesh, device, signed=True).sides
+    sides.find(np.arange(3))
+    assert np.isnan(sides.front).tolist() == [True, False, False]

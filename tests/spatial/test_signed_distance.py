@@ -577,3 +577,28 @@ def test_the_tree_is_built_once(device: Device) -> None:
     assert [stage for stage in stages if stage != "tree"] == [
         *decided, "pseudo-normals", *["distance"] * 3,
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_signs_beside_slivers(device: Device, seed: int) -> None:
+    """Convex meshes whose faces are split 1e-8 to 1e-15 beside their edges, and folded by rounding:
+    at points down to 1e-12 from slivers and edges, against the planes of the faces as they were."""
+    rng = np.random.default_rng(seed)
+    vertices, faces = meshes.icosphere(1) if seed else meshes.box(0.0, 1.0)
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    vertices = vertices @ q.T
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1)[:, None] * np.sign(np.linalg.det(q))
+    mesh = meshes.mesh_of(*meshes.split_beside_edges(vertices, faces, 25, rng))
+    triangles = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=4000)]]
+    weights = rng.dirichlet([1, 1, 1], 4000)
+    weights[::2, 2] = 0  # on edges
+    on = np.einsum("nk,nkj->nj", weights / weights.sum(axis=1)[:, None], triangles)
+    way = rng.normal(size=on.shape)
+    points = on + 10.0 ** -rng.uniform(1, 12, (4000, 1)) * way
+    beyond = ((points[:, None] - a) * normals).sum(axis=-1).max(axis=1)
+    sure = np.abs(beyond) > 1e-13
+    assert np.count_nonzero(sure) > 3000
+    inside = SignedDistance(mesh, "winding", device)(points) < 0
+    assert np.array_equal(inside[sure], (beyond < 0)[sure])

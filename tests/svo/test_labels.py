@@ -28,7 +28,7 @@ def test_labels_are_those_of_scipy(neighbours: int) -> None:
         assert np.array_equal(labels > 0, dense), name
         assert np.array_equal(np.bincount(labels.ravel())[1:], found.sizes), name
         assert np.array_equal(found.sizes, sizes_of(dense, neighbours)), name
-        structure = np.ones((3, 3, 3)) if neighbours == 26 else None
+        structure = ndimage.generate_binary_structure(3, NEIGHBOURS.index(neighbours) + 1)
         theirs = np.asarray(ndimage.label(dense, structure)[0])  # pyright: ignore
         pairs = np.unique(np.stack([labels[dense], theirs[dense]]), axis=1)
         assert pairs.shape[1] == len(found), name  # each is one of theirs
@@ -85,8 +85,8 @@ def test_refused(tmp_path: Path) -> None:
     octree = Octree.from_dense(RNG.random((40, 40, 40)) < 0.5)
     with pytest.raises(voxtool.MemoryLimitError, match="components would need"):
         voxtool.components(octree, max_memory=1000)
-    with pytest.raises(voxtool.VoxtoolError, match="neighbours 18: choose one of 6, 26"):
-        voxtool.components(octree, 18)
+    with pytest.raises(voxtool.VoxtoolError, match="neighbours 8: choose one of 6, 18, 26"):
+        voxtool.components(octree, 8)
     found = voxtool.components(octree)
     with pytest.raises(voxtool.VoxtoolError, match=r"\.vox holds no labels: choose \.npy, \.npz"):
         voxtool.export(found, tmp_path / "a.vox")

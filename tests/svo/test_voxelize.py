@@ -122,6 +122,7 @@ LARGE |= {"code_bits": 64, "column_tile": 4}
         {"blocked": True},
         LARGE,
         {**LARGE, "entry": True},
+        {**LARGE, "regions": True},
         {"propagation": "levels"},
         {"propagation": "levels", "code_bits": 64},
         {"plane_tiles": True},
@@ -333,15 +334,22 @@ def test_windows_make_up_the_whole(device: Device, data) -> None:
 # ---- extremes
 
 
-def test_beyond_a_dense_volume(device: Device) -> None:
-    """Blocks of level-1 nodes, at a dim where the plan chooses them."""
+@pytest.mark.parametrize("dim", [4096, 65_536])
+def test_beyond_a_dense_volume(device: Device, dim: int) -> None:
+    """Blocks of level-1 nodes, and regions of blocks, at dims where the plan chooses them; rows are
+    walked only near the mesh."""
     vertices, faces = meshes.tetrahedron((9, 8, 7), (60, 11, 12), (14, 55, 9), (13, 17, 61))
-    fixed = meshes.fixed(vertices)
-    near = run(device, (fixed, faces), (64,) * 3, "solid")
-    job = planned(device, (fixed + 256 * 4032, faces), (4096,) * 3, "solid")
-    assert job.plan.blocked
-    far = job.run()
-    assert np.array_equal(far.occupied() - 4032, near.occupied())
+    corners = [(0, 0, 0), (dim - 64, dim - 64, dim - 64), (512, dim - 128, 64)]
+    parts = [meshes.fixed(vertices) + 256 * np.array(corner) for corner in corners]
+    for mode in ("solid", "surface26"):
+        near = run(device, (meshes.fixed(vertices), faces), (64,) * 3, mode).occupied()
+        mesh = meshes.join(*((part, faces) for part in parts))
+        job = planned(device, mesh, (dim,) * 3, mode)
+        assert job.plan.blocked
+        assert job.plan.regions == (dim > 16_384)
+        wanted = np.concatenate([near + corner for corner in corners])
+        assert np.array_equal(np.unique(job.run().occupied(), axis=0), np.unique(wanted, axis=0))
+        assert job.cost.device < 2e6
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -191,7 +191,7 @@ def test_a_table_of_control_points_changes_no_picture(method: str, device) -> No
 
 def test_parts_of_scalars() -> None:
     points = np.sort(np.random.default_rng(6).random(40).astype(np.float32))
-    transfer = LocalTransfer(points, np.zeros((41, 16), np.float32))
+    transfer = LocalTransfer(points, np.zeros((41, 16), np.float32), np.zeros((41, 10)))
     for parts in (1, 8, 256):
         begin = np.arange(parts, dtype=np.float32) / np.float32(parts)
         expected = [np.count_nonzero(points < low) for low in begin]
@@ -253,6 +253,24 @@ def test_eye_on_vertices_edges_and_faces(device, holes) -> None:
             # a ray along a face that begins on it may have either side
             assert np.count_nonzero(error > 1e-3) <= 1
             assert np.sort(error.ravel())[-3] < 1e-3
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-7, -1e-7, 1e-6, -3e-6])
+def test_eye_in_planes_of_faces_seen_along_axes(device, off) -> None:
+    """Beyond a boundary face through the eye is nothing, within a cell's neighbour what it has."""
+    points, cells = tet_grid((4, 4, 4))
+    mesh = tet_mesh((points + 1) / 2, cells, points[:, 0])
+    volume, transfer = build_tet(mesh), replace(GREY, extinctions=[1.7])
+    eyes = [(0, 0, 0), (0, 0, 0.5), (0.5, 0, 0.5), (0.41, 0, 0.37), (0.3, 0.25, 0.6)]
+    for eye, way in itertools.product(np.add(eyes, (0, off, 0)), np.eye(3)[[0, 2]]):
+        for turn in (1, -1):
+            camera = Camera(tuple(eye), tuple(eye + turn * way), (0.13, 0.93, 0.37), fov=70)
+            rays = camera.rays(32, 32)
+            wanted = reference_picture(mesh, transfer, rays)
+            for method in METHODS:
+                # a ray at a small angle to a plane so near to the eye leaves sooner or later
+                error = np.abs(draw(volume, rays, transfer, device, method) - wanted)
+                assert error.max() < NEAR + 5e3 * abs(off), (eye, way, method)
 
 
 # ---- hard meshes
@@ -447,6 +465,28 @@ def test_transparent_blocks_are_left_out(device) -> None:
         rays = rays_of(mesh, view, fov)
         assert np.abs(shell.draw(rays, device) - ball.draw(rays, device)).max() < NEAR
     assert not nothing.draw(rays_of(mesh, "iso", None), device).any()
+
+
+@pytest.mark.parametrize("layout", ["raycast", "projection"])
+@pytest.mark.parametrize("steep", [1, 1000])
+def test_textures_of_what_shows_alone_give_the_same_picture(device, layout, steep) -> None:
+    points, cells = tet_grid((12, 12, 12), seed=9, holes=0.1)
+    points[:, 2] *= 1 if steep == 1 else 1e-3  # flat cells have heights
+    diagonal = points[:, 0] + points[:, 1]
+    volume = build_tet(tet_mesh(points, cells, diagonal), layout)
+    layer = replace(LAYER, scalars=[1.0, 1.2, 1.4], extinctions=steep * LAYER.extinctions)
+    eye, up = (0.35, 0.35, 0.3 * points[:, 2].max()), (0.0, 0.0, 1.0)
+    inside = Camera(eye, (1.0, 0.9, 0.0), up, fov=100.0).rays(30, 23)
+    mesh = tet_mesh(points, cells, diagonal)
+    for rays, method in itertools.product([rays_of(mesh, "iso", 30.0), inside], METHODS):
+        part, whole = (VolumeScene(volume, layer, method, table=(16, 8)) for _ in range(2))
+        assert len(part.drawn.cells) == part.cells_shown < len(cells) / 2
+        part.drawn.validate()
+        vars(whole)["drawn"] = volume
+        picture = part.draw(rays, device)
+        assert picture.any()
+        assert np.array_equal(picture, whole.draw(rays, device))
+        assert "of textures are not uploaded" in part.left_out["transparent cells"]
 
 
 def layered(kind: str) -> TetVolume:

@@ -12,6 +12,7 @@ from conftest import model
 from helpers_tets import (
     CUBE,
     PYRAMID,
+    SIX,
     SOLIDS,
     VOLUMES,
     Matched,
@@ -20,6 +21,8 @@ from helpers_tets import (
     built,
     cube,
     face_sets,
+    grid_corners,
+    grid_points,
     lattice,
     linear,
     oriented,
@@ -44,6 +47,7 @@ from voxtool.tets.volume import (
     BLOCK,
     FACES,
 )
+from voxtool.vector import cross, dot
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -265,6 +269,50 @@ def test_cells_of_zero_volume_are_dropped_and_counted() -> None:
     assert found.report["duplicates"] == 0
 
 
+def test_what_flat_cells_held_is_said() -> None:
+    thin, needle = ONE * (1, 1, 2e-15) + (4, 0, 0), ONE * (1, 1e-10, 1e-10) + (6, 0, 0)
+    points = np.concatenate([ONE, thin, needle])
+    cells, scalars = np.arange(12).reshape(3, 4), np.arange(12.0)
+    report = split(tet_mesh(points, cells, scalars)).report
+    assert report["flat"] == 2
+    assert report["flat_volume"] == pytest.approx((2e-15 + 1e-20) / 6, rel=1e-12)
+    assert report["flat_scalars"] == [4, 11]
+    report = split(tet_mesh(points, cells, [np.array([7.0, -2, 5])])).report
+    assert report["flat_scalars"] == [-2, 5]
+    assert "flat_scalars" not in split(tet_mesh(ONE, cells[:1])).report
+
+
+@pytest.mark.parametrize("width", [1e-3, 3.5e-8, 2e-9])
+def test_needles_are_kept(width: float) -> None:
+    points = np.concatenate([ONE * (1, width, width), ONE - 2])
+    volume = built(tet_mesh(points, np.arange(8).reshape(2, 4)))
+    assert (len(volume.cells), volume.report["flat"]) == (2, 0)
+
+
+@pytest.mark.parametrize("thin", [1e-3, 1e-7, 1e-12, 1e-13])
+@pytest.mark.parametrize("layout", ["raycast", "projection"])
+def test_heights_of_flat_cells_are_those_of_fractions(thin: float, layout: str) -> None:
+    """In float32 both sides of the layer are the same."""
+    random = np.random.default_rng(3)
+    turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    points = grid_points((3, 3, 3))
+    points[:, 2] = np.array([0, 0.7, 0.7 + thin, 3])[points[:, 2].astype(int)]
+    points = points @ turn + (0.1, -7, 0.3)
+    mesh = tet_mesh(points, grid_corners((3, 3, 3))[:, SIX].reshape(-1, 4))
+    volume = built(mesh, layout)
+    exact = []
+    for cell in mesh.cells[0][1]:
+        o, a, b, c = np.vectorize(Fraction, otypes=[object])(points[cell])
+        volume_ = abs(dot(a - o, cross(b - o, c - o)))
+        faces = [np.delete(points[cell], i, axis=0) for i in range(4)]
+        area = max(float(np.linalg.norm(np.cross(b - a, c - a))) for a, b, c in faces)
+        exact.append(float(volume_) / area / volume.scale)
+    assert volume.heights is not None
+    assert volume.heights.shape == (len(volume.cells), 1)
+    found = np.sort(volume.heights[:, 0])
+    assert np.abs(found / np.sort(exact) - 1).max() < 2e-7
+
+
 def test_a_cell_that_is_there_already_is_dropped() -> None:
     found = split(tet_mesh(CUBE, [(0, 1, 3, 4), (2, 1, 6, 3), (4, 3, 1, 0), (0, 3, 1, 4)]))
     assert found.report["duplicates"] == 2
@@ -386,6 +434,7 @@ def test_a_cube(pieces: int, layout: str) -> None:
         assert np.allclose(volume.gradients[:, 3], (2.75 - 1) / 3.5, atol=1e-7)
         assert volume.bytes_a_cell() == 96  # table 5 of [TetVol]
     else:
+        assert volume.anchors is not None
         assert np.array_equal(volume.anchors, volume.cells[:, :2])
         floats = 4 * len(volume.vertices) / pieces + 4 * 3 + 2 + 3  # table 4
         assert volume.bytes_a_cell() == pytest.approx(4 * floats)
@@ -649,8 +698,8 @@ def test_more_than_max_memory_is_refused_before_it_starts() -> None:
 
 
 BLUNT_FIN = {
-    "raycast": "599f1aa6e756a25494e794da957f3fffd1e48d2efc97864264644f1ab2ae864a",
-    "projection": "b3a91353a0d9ef6391e26f554356a967e0aa7fde69f57402808c5b95d4058777",
+    "raycast": "fdccc315b2f811c4fa4ce8786a6d3a5c60a56b1ca35cb66e8110986fd3956af8",
+    "projection": "6f843a965482f434ac68c5cea0f64c6da827a2102027f9bb08657d41721ca1e5",
 }
 
 

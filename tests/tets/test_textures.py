@@ -70,7 +70,7 @@ EXPECTED: dict[str, tuple[str, dict[str, int]]] = {
         },
     ),
     "overlapping": (
-        "bc2ec5424ca243cfd389aa43db0e7ecd1334c2251112a1dec00ff7df627847b3",
+        "f6cd910c9c56fb078b05f8443a1eb0667d13ef4b92f14d8ad5de3152bc0fd849",
         {
             "points": 12,
             "coincident": 15,

@@ -82,7 +82,7 @@ def test_windows_of_voxels_without_an_inside(device: Device, tmp_path: Path) -> 
 def test_windows_that_do_not_fit_are_halved(device: Device, tmp_path: Path) -> None:
     octree = octree_of(1)
     job = windows_of(octree, 64, device, style="voxel-faces", level="voxel")
-    job.max_memory = 800_000
+    job.max_memory = 750_000
     with Spool(tmp_path / "a") as job.store:
         found = job.run()
         assert found.digest() == extract(octree, style="voxel-faces", device=device).digest()

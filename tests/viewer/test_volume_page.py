@@ -79,7 +79,7 @@ STEPS = [(0.2, 0.2, 0.5, 0.5, 0.9), [0.0, 2.0, 2.0, 0.0, 30.0]]  # scalars and e
 
 
 @pytest.mark.parametrize("name", ["iso", "parallel", "within"])
-@pytest.mark.parametrize("function", ["default", "steps", "everywhere"])
+@pytest.mark.parametrize("function", ["default", "steps", "everywhere", "spikes"])
 def test_the_picture_is_that_of_render(name: str, function: str, volume, viewer: Viewer) -> None:
     low, high = volume.scalar_range
     transfer = default_transfer(volume)
@@ -87,6 +87,13 @@ def test_the_picture_is_that_of_render(name: str, function: str, volume, viewer:
         colours = np.random.default_rng(4).random((5, 3))
         at = low + (high - low) * np.array(STEPS[0])
         transfer = TransferFunction(at, colours, np.array(STEPS[1]))
+    elif function == "spikes":  # the last two are narrower than float32 tells apart
+        wide = (high - low) * np.array([1e-3, 1e-9, 1e-14])
+        starts = low + (high - low) * np.array([0.1, 0.2, 0.4])
+        at = starts[:, None] + wide[:, None] * np.arange(3)
+        steep = (high - low) / wide[:, None] * np.array([0.0, 3.0, 0.0])
+        colours = np.random.default_rng(4).random((9, 3))
+        transfer = TransferFunction(at.ravel(), colours, steep.ravel())
     elif function == "everywhere":
         transfer = named("turbo", low - 1, high + 1, 1.0, (low - 2, high))
     check_picture(viewer, volume, cameras(volume)[name], transfer)

@@ -15,8 +15,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from voxtool.adf.accuracy import measure_errors
-from voxtool.adf.cells import NO_LEAF, cell_of, identifier_type, key_of
+from voxtool.adf.accuracy import helped_by_depth, measure_errors
+from voxtool.adf.cells import JUMP, NO_LEAF, bound_values, cell_of, identifier_type, key_of
 from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.hashing import SOURCE as HASHING
 from voxtool.adf.hashing import build_hash
@@ -33,7 +33,7 @@ from voxtool.adf.levels import (
     windows_of,
 )
 from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
-from voxtool.adf.survey import Decide, Survey, cube_of
+from voxtool.adf.survey import UNSEEN, Decide, Survey, cube_of
 from voxtool.adf.waiting import Store, Waiting
 from voxtool.errors import human
 from voxtool.job import Job
@@ -41,6 +41,8 @@ from voxtool.mesh.counts import PROGRAMS as COUNTING
 from voxtool.mesh.counts import check_topology
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
+from voxtool.mesh.topology import shells_of, volume
+from voxtool.morton import distinct
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT
@@ -69,16 +71,14 @@ def plan_adf(
 
     sign: one of voxtool.choices.FIELD_SIGNS, or None for that of what `decide` returns, given mesh
     and device. stores: makes a store where levels and blocks wait that exceed max_memory; without
-    it the field is refused. request: tolerance, max_level, band, continuous, bounds, max_bytes,
-    measure and max_texture, as in voxtool.build_adf.
+    it the field is refused. request: tolerance, max_level, band, guarantee, continuous, bounds,
+    max_bytes, measure and max_texture, as in voxtool.build_adf.
     """
     plan = FieldPlan(triangles=len(mesh.faces), sign=sign or "", **request)
     survey = Survey(mesh, device or default_device(), sign != "none", decide)
     plan = replace(
         plan,
         flat=survey.flat,
-        crossed=int(np.count_nonzero(survey.crossed)) - survey.undecided,
-        undecided=survey.undecided,
         closed=survey.closed,
         sign=sign or ("pseudonormal" if survey.closed else "winding"),
     )
@@ -148,17 +148,18 @@ class FieldJob(Job["DistanceField"]):
         build = self._build or _Build(self._survey, self._plan, self._memory, self.stores)
         self._build = None
         build.run()
+        survey = self._survey
+        build.plan = replace(build.plan, crossed=survey.crossed, undecided=survey.undecided)
         self._plan = build.plan
         field = build.field()
         if not self._plan.measure:
             return field
         with self.stage("errors"):
-            survey = self._survey
             errors = measure_errors(field, survey.mesh, survey.device, normals=survey.normals)
         return replace(field, reached={**field.reached, "errors": errors})
 
     def findings(self, result: DistanceField) -> Iterator[str]:
-        """Yield warnings about a field: uncertain signs, or no inside."""
+        """Yield warnings about a field: uncertain signs, no inside, or too thin a mesh."""
         name = self._survey.mesh.name or "mesh"
         if uncertain := self.sign_finding():
             yield uncertain
@@ -166,6 +167,14 @@ class FieldJob(Job["DistanceField"]):
             yield (
                 f"{name}: the field has no inside: it is negative nowhere, so the mesh encloses "
                 f"nothing, or nothing as wide as a leaf of level {result.depth}"
+            )
+        elif thin := result.reached.get("thin"):
+            ends = result.depth == self._plan.max_level
+            finer = "higher --max-level" if ends else "smaller --tolerance"
+            yield (
+                f"{name}: the mesh is thinner than the leaves in {thin['leaves']:,} of them, of "
+                f"level {result.depth} at most; surfaces of the field are thicker there, or have "
+                f"holes: choose a {finer}"
             )
 
     def notes(self, result: DistanceField) -> list[str]:
@@ -194,7 +203,8 @@ class FieldJob(Job["DistanceField"]):
         if _is_warned(survey, plan):
             wrong.append(f"is {once(check_topology)(mesh, survey.device).summary()}")
         if plan.crossed:
-            wrong.append(f"intersects itself in {plan.crossed:,} faces")
+            least = "at least " * bool((survey.found == UNSEEN).any())
+            wrong.append(f"intersects itself in {least}{plan.crossed:,} faces")
         if plan.undecided:
             wrong.append(f"may intersect itself in {plan.undecided:,} faces, near many others")
         if not wrong:
@@ -256,7 +266,7 @@ class _Build:
         self.identifiers: list[np.ndarray] = []
         self.voxels = np.empty(0, np.float32)  # grows in place, so that it is never there twice
         self.codes: list[np.ndarray] = []
-        self.missed = self.medial = self.jumps = 0
+        self.missed = self.medial = self.jumps = self.thin = self.unproved = 0
         self.worst: tuple[float, int, int] | None = None  # error, level, identifier
         self.worst_medial = 0.0
 
@@ -351,8 +361,12 @@ class _Build:
             self.voxels.resize(before + found.voxels.size, refcheck=False)
             self.voxels[before:] = found.voxels
         leaves = found.refined == 0
+        if self.plan.guarantee:
+            least = np.searchsorted(bound_values()[:JUMP], self.plan.tolerance)
+            self.unproved += int(np.count_nonzero((found.codes > least) & leaves))
         self.codes.append(np.where(leaves, found.codes, np.uint8(NO_LEAF)))
         self.jumps += int(np.count_nonzero((errors < 0) & leaves))
+        self.thin += int(np.count_nonzero(found.thin))
         over = np.flatnonzero((errors > np.float32(self.plan.tolerance)) & leaves)
         if not len(over):
             return
@@ -385,6 +399,12 @@ class _Build:
             "missed": self.missed,
             "jumps": self.jumps,
         }
+        if self.thin:
+            of = shells_of(mesh)
+            shells = len(distinct(of[of >= 0]))
+            reached["thin"] = {"leaves": self.thin, "shells": shells, "volume": volume(mesh)}
+        if plan.guarantee:
+            reached["unproved"] = self.unproved
         if self.medial:
             reached["medial"] = {"leaves": self.medial, "error": self.worst_medial}
         if self.worst:
@@ -394,6 +414,7 @@ class _Build:
             reached["worst"] = {"error": error, "level": level, "where": where.tolist()}
         if plan.continuous:
             reached["balanced"] = not work.unbalanced.get()[0]
+            reached["kept"] = int(work.kept.get()[0])
         return assemble(
             identifiers.astype(identifier_type(int(levels[-1]))),
             keys,
@@ -414,27 +435,3 @@ class _Build:
             units=mesh.units,
             transform=mesh.transform,
         )
-
-
-def helped_by_depth(
-    voxels: np.ndarray, leaves: np.ndarray, errors: np.ndarray, level: int
-) -> np.ndarray:
-    """Return which leaves over the tolerance smaller ones would help, (n,) bool: those that the
-    mesh may pass, and those whose error is no larger than where one point of the mesh is nearest.
-    The others lie along the medial axis, where the distance has an edge.
-
-    Parameters
-    ----------
-    voxels : (27 b,) float32
-        The distances of blocks.
-    leaves, errors : (n,) int, (n,) float32
-        Children of the blocks, 8 block + octant, and their errors, in sides.
-    level : int
-        Level of these leaves.
-    """
-    blocks, (block, octant) = abs(voxels.reshape(-1, 3, 3, 3)), np.divmod(leaves, 8)
-    x, y, z = octant & 1, octant >> 1 & 1, octant >> 2
-    corners = [blocks[block, z + (i >> 2), y + (i >> 1 & 1), x + (i & 1)] for i in range(8)]
-    half = math.sqrt(3) / 2 * 0.5**level  # of the diagonal: a corner is as near to every point
-    least = np.maximum(np.min(corners, axis=0).astype(float) - half, 0)
-    return (least == 0) | (errors <= np.sqrt(least * least + half * half) - least)

@@ -43,8 +43,8 @@ WORK_BYTES = 64 * AT_ONCE
 CELLS_AT_ONCE = 1 << 15
 FEW = 5  # points along an axis that are examined first
 LEAST = 2.0**-50  # sides: nearer values are 0, or its negative, so that no product is denormal
-# Of an answer in single precision, relative to the largest corner: three interpolations round five
-# times each, by 2**-24.
+# Error of an answer in single precision, relative to the largest corner: three interpolations round
+# five times each, by 2**-24.
 ROUNDING = 2.0**-20
 ROUNDED = 2.0**-22  # relative: errors up to this are those of rounding distances
 NUDGE = 2.0**-44  # of the cube's corner, relative to it or to the side

@@ -128,6 +128,7 @@ class Level:
         states, doubts, asked : uint8, the side of the mesh of each cell; uint32, the vertices of
             its block whose signs are unknown, and those whose winding numbers are computed.
         neighbours : uint32, 27 a cell, see find_neighbours.
+        strays : float32, 27 a cell, the changes of its vertices by constraining.
         ranks : uint32, a child: whether it is refined, then the number of refined children before
             it.
         parent_ranks : the same of the whole level above; OF_PARENTS : arrays of those cells of it
@@ -171,25 +172,28 @@ class Construction:
 
     arguments : of kernels, by name; options : of kernels; steepest : uint32, the bits of the
     steepest slope of a leaf; unbalanced : uint32, whether a leaf has a neighbour that is coarser by
-    two levels.
+    two levels; kept : uint32, the hanging vertices that keep their distances.
     """
 
     def __init__(self, survey: Survey, plan: FieldPlan) -> None:
         self.survey, self.plan, self.device = survey, plan, survey.device
         self.steepest = self.device.zeros(1, np.uint32)
         self.unbalanced = self.device.zeros(1, np.uint32)
+        self.kept = self.device.zeros(1, np.uint32)
         side = 2 * survey.extent
         self.arguments: dict[str, Any] = {
             **survey.arguments,
-            **(survey.winding_arguments if plan.sign == "winding" else {}),
+            **(survey.sides.arguments if plan.sign == "winding" else {}),
             "tolerance": plan.tolerance * side,
             "misplaced": survey.misplaced * side,
             "band": plan.band * side,
             "thorough": plan.max_bytes is not None,
+            "guarantee": plan.guarantee,
             "bounds": self.device.put(bound_values()),
             "narrow": narrow_triangles(survey.tree),
             "steepest": self.steepest,
             "unbalanced": self.unbalanced,
+            "kept": self.kept,
         }
         self.options = _options(plan)
 
@@ -200,6 +204,21 @@ class Construction:
         arguments = {**self.arguments, **level.arrays, "level": level.number, **more}
         alone = kernel in WALKERS and self.device.lanes > 1  # a core for each of few long lists
         launch(size or level.count, **arguments, local=1 if alone else 64)
+
+    def ask(
+        self, stage: str, kernel: str, level: Level, changed: Sequence[str] = (), **more: Any
+    ) -> None:
+        """Run a kernel that asks for the winding number beside faces, until all that it asks for
+        are known; `changed` are the arguments of which it changes what it reads."""
+        arrays, kept = {**level.arrays, "steepest": self.steepest}, {}
+        asks = self.plan.sign == "winding" and self.survey.sides.is_partial
+        if asks:
+            kept = {name: arrays[name].get() for name in changed}
+        self.run(stage, kernel, level, **more)
+        while asks and self.survey.sides.find_wanted():
+            for name, values in kept.items():
+                self.device.write(arrays[name], values)
+            self.run(stage, kernel, level, **more)
 
     def root(self) -> Level:
         """Return the root, whose list contains every triangle of the tree: duplicates, which are
@@ -254,7 +273,7 @@ def sample(work: Construction, level: Level) -> None:
         work.run("sample", "sample_blocks", level, **_balls(level))
         if "SIGNED" in work.options:
             level.allocate(states=(1, np.uint8), doubts=(1, np.uint32), asked=(1, np.uint32))
-            work.run("signs", "sign_blocks", level)
+            work.ask("signs", "sign_blocks", level, ("values",))
         for _ in ("middles of blocks", "vertices") if winding else ():
             settle_signs(work, level)
 
@@ -288,13 +307,14 @@ def settle_signs(work: Construction, level: Level) -> None:
 
 def constrain(work: Construction, level: Level) -> None:
     """Set the values of vertices on a coarser leaf's faces and edges to its interpolation, so that
-    the field has no cracks."""
+    the field has no cracks; those whose sign this would change stay."""
     if level.number == 0:
         return
-    level.allocate(neighbours=(27, np.uint32))
+    level.allocate(neighbours=(27, np.uint32), strays=(27, np.float32))
+    edge = math.ldexp(2 * work.survey.extent, -level.number)
     with work.device.stage("constrain"):
         work.run("constrain", "find_neighbours", level)
-        work.run("constrain", "constrain_blocks", level)
+        work.run("constrain", "constrain_blocks", level, edge=edge)
 
 
 @dataclass
@@ -302,13 +322,15 @@ class Examined:
     """The children of a level's cells, on the host.
 
     voxels : (27 n,) float32, the blocks, in sides; refined : (8 n,) uint32, 1 or 0; errors : (8 n,)
-    float32, in sides, -1 at a sign discontinuity; codes : (8 n,) uint8, of the bounds of leaves.
+    float32, in sides, -1 at a sign discontinuity; codes : (8 n,) uint8, of the bounds of leaves;
+    thin : (8 n,) uint8, 1 in leaves where the mesh is thinner than they are.
     """
 
     voxels: np.ndarray
     refined: np.ndarray
     errors: np.ndarray
     codes: np.ndarray
+    thin: np.ndarray
 
 
 def examine(work: Construction, level: Level) -> Examined:
@@ -316,21 +338,26 @@ def examine(work: Construction, level: Level) -> Examined:
     device, plan, n = work.device, work.plan, level.count
     voxels = device.empty(27 * n, np.float32)
     ranks = level.arrays["ranks"] = device.empty(8 * n + 1, np.uint32)
-    errors, codes = device.empty(8 * n, np.float32), device.empty(8 * n, np.uint8)
+    errors = device.empty(8 * n, np.float32)
+    codes, thin = device.empty(8 * n, np.uint8), device.empty(8 * n, np.uint8)
+    level.arrays.setdefault("strays", device.zeros(27 * n, np.float32))
     with device.stage("examine"):
         work.run("examine", "store_voxels", level, 27 * n, voxels=voxels)
-        work.run(
+        work.ask(
             "examine",
             "examine_children",
             level,
+            ("masks", "needed", "steepest"),
             voxels=voxels,
             can_refine=level.number + 1 < plan.max_level,
             refine_coarse=0.5 ** (level.number + 1) > CROSSED * plan.tolerance,
             flags=ranks,
             errors=errors,
             codes=codes,
+            thin=thin,
         )
-    return Examined(voxels.take(), ranks.get(0, 8 * n), errors.take(), codes.take())
+    flags = ranks.get(0, 8 * n)
+    return Examined(voxels.take(), flags, errors.take(), codes.take(), thin.take())
 
 
 def refine(work: Construction, level: Level, size: int) -> Level:

@@ -32,7 +32,7 @@ WINDOW = 1 << 16  # cells that are sampled and examined at once
 LEAST_WINDOW = 1 << 10  # the same where memory is short
 PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
 GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
-CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 16 + 8 * (8 + 4 + 4 + 1 + 4)  # of a refined cell
+CELL_BYTES = 27 * (8 + 3 * 4 + 8) + 8 + 2 * 4 + 16 + 8 * (8 + 3 * 4 + 2)  # of a refined cell
 SIDED_BYTES = 27 * 4  # more where triangles without area are left out of signs
 LEFT_BYTES = 27 * (8 + 4) + 1 + 2 * 8  # what a cell leaves to its children, and theirs, about
 RANK_BYTES = 2 * 8 * 4  # the flags and ranks of its children
@@ -58,6 +58,7 @@ class FieldPlan:
     band: float = math.inf
     continuous: bool = True
     bounds: bool = True
+    guarantee: bool = False
     max_bytes: int | None = None
     measure: bool = True
     max_texture: int = DEFAULT_TEXTURE_3D

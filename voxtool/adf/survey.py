@@ -20,15 +20,16 @@ from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT, SCAN
 from voxtool.spatial.bvh import SOURCE as TREE
 from voxtool.spatial.bvh import Frame, build_tree, distinct_faces
-from voxtool.spatial.fill_rule import Inside, inside_as_wound, meeting_faces
+from voxtool.spatial.fill_rule import Inside, inside_as_wound
 from voxtool.spatial.pseudonormals import Pseudonormals, face_normals, pseudonormals
 from voxtool.spatial.self_intersections import SOURCE as SELF_INTERSECTIONS
-from voxtool.spatial.self_intersections import UNDECIDED
-from voxtool.spatial.sides import find_sides
+from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
+from voxtool.spatial.sides import Sides
 from voxtool.spatial.winding_number import WindingNumber
 
 Decide = Callable[[Mesh, Device], Inside]
 MARGIN = 1 / 16  # of the cube's side, on both sides of the mesh's longest side
+UNSEEN = 9  # beside the states of find_self_intersections
 REACH = 2.0  # of winding numbers: an error of 5e-3 is enough for signs, in half the time
 
 
@@ -37,9 +38,8 @@ class Survey:
 
     mesh: with the faces turned that `decide` turns; signed: whether distances have a sign; inside:
     what `decide` returns, or None; normals: the pseudo-normals, if they have; tree: the
-    triangles, in the mesh's own frame; flat: number of triangles without area; crossed: (F,) bool,
-    faces that intersect or repeat others, or may; undecided: number of those that may; closed: True
-    if pseudo-normals are certain (fill_rule.py); extent: half of the cube's side, in the frame;
+    triangles, in the mesh's own frame; flat: number of triangles without area; closed: True if
+    pseudo-normals are certain (fill_rule.py); extent: half of the cube's side, in the frame;
     misplaced: upper bound of the distance, in sides, by which rounding moves a point.
     """
 
@@ -49,8 +49,7 @@ class Survey:
         self, mesh: Mesh, device: Device, signed: bool, decide: Decide = inside_as_wound
     ) -> None:
         self.mesh, self.device, self.signed, self.decide = mesh, device, signed, decide
-        self.crossed = np.zeros(len(mesh.faces), bool)
-        self.flat, self.undecided, self.closed = 0, 0, False
+        self.flat, self.closed = 0, False
         self.normals: Pseudonormals | None = None
         programs: list[Request] = [(TREE, {}), (RADIX_SORT, {"KEY": "ulong"}), (SCAN, {})]
         device.prepare(*programs, *[(SELF_INTERSECTIONS, {}), *COUNTING] * signed)
@@ -60,20 +59,12 @@ class Survey:
                 faces = face_normals(mesh)
                 summed = beside.submit(pseudonormals, mesh, faces)
                 inside = self.inside = decide(mesh, device)
-                found = inside.meeting
-                if found is None:
-                    found = meeting_faces(mesh, device)
-                    twins = twins_of(mesh)
-                    if twins is not None:
-                        found = np.where(np.bincount(twins)[twins] > 1, np.uint8(1), found)
                 if inside.oriented:
                     mesh = self.mesh = inside.oriented
                     faces = face_normals(mesh)
                     summed = beside.submit(pseudonormals, mesh, faces)
                 self.tree = build_tree(device, mesh, faces.flat, distinct.result())
             self.flat, self.normals = int(np.count_nonzero(faces.flat)), summed.result()
-            self.crossed = found != 0
-            self.undecided = int(np.count_nonzero(found == UNDECIDED))
             self.closed = inside.simple
         else:
             self.tree = build_tree(device, mesh, None, distinct_faces(mesh))
@@ -96,17 +87,40 @@ class Survey:
         return named
 
     @cached_property
-    def winding_arguments(self) -> dict[str, Any]:
-        """Kernel arguments by name: winding numbers beside faces, and spheres about the boundary;
-        see Sides."""
+    def sides(self) -> Sides:
+        """The winding numbers beside faces."""
         assert self.normals  # only fields with signs ask for winding numbers
-        sides = find_sides(self.mesh, self.normals, self.winding, self.tree, self.crossed)
-        put = self.device.put
-        return {
-            "front": put(sides.front),
-            "spheres": put(sides.spheres),
-            "sphere_count": len(sides.spheres),
-        }
+        return Sides(self.mesh, self.normals, self.winding, self.tree, self.meeting)
+
+    @cached_property
+    def found(self) -> np.ndarray:
+        """Faces that others intersect or repeat, (F,) uint8: the states of
+        find_self_intersections, or UNSEEN where that has not been asked for."""
+        if self.inside and self.inside.meeting is not None:
+            return self.inside.meeting.copy()
+        return np.full(len(self.mesh.faces), UNSEEN if self.signed else 0, np.uint8)
+
+    def meeting(self, faces: np.ndarray) -> np.ndarray:
+        """Return which of (n,) faces others intersect or repeat, or may, (n,) bool."""
+        unseen = np.zeros(len(self.found), bool)
+        unseen[faces] = self.found[faces] == UNSEEN
+        if unseen.any():
+            found = find_self_intersections(self.device, self.mesh, self.tree, some=unseen)
+            twins = twins_of(self.mesh)
+            if twins is not None:
+                found = np.where(np.bincount(twins)[twins] > 1, np.uint8(1), found)
+            self.found[unseen] = found[unseen]
+        return self.found[faces] != 0
+
+    @property
+    def crossed(self) -> int:
+        """Number of faces that are known to intersect or repeat others."""
+        return int(np.count_nonzero(self.found == 1))
+
+    @property
+    def undecided(self) -> int:
+        """Number of faces that may intersect others."""
+        return int(np.count_nonzero(self.found == UNDECIDED))
 
 
 def cube_of(mesh: Mesh) -> tuple[np.ndarray, float]:

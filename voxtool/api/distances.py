@@ -40,6 +40,7 @@ def plan_adf(
     tolerance: float = DEFAULT_TOLERANCE,
     max_level: int = DEFAULT_MAX_LEVEL,
     band: float = math.inf,
+    guarantee: bool = False,
     fill: str = FILLS[0],
     continuous: bool = True,
     bounds: bool = True,
@@ -55,7 +56,7 @@ def plan_adf(
     are counted from the root, which has level 0; a leaf of level n has an edge of 2**-n. A cell
     through which triangles may pass is refined at least until its edge is 64 tolerances, unless its
     bound is within the tolerance: a wall that no sample hits causes an error of at most half the
-    edge.
+    edge. A cell that two sheets of the mesh cross is refined until it has their signs.
 
     Parameters
     ----------
@@ -67,6 +68,9 @@ def plan_adf(
         Level at which leaves are no longer refined, 1 to 21.
     band : float
         Cells further than this from the surface are not refined.
+    guarantee : bool
+        Whether a cell is refined until the bound of its error is within the tolerance, not only the
+        error at its samples.
     fill : str
         What is inside: "auto", "winding" or "none" (no distance is negative), or "parity" or
         "nonzero" for closed meshes whose parts do not overlap; see voxelize. Signs are computed by
@@ -104,16 +108,18 @@ def plan_adf(
     Warns
     -----
     MeshWarning
-        If signs are uncertain, or the field has no inside.
+        If signs are uncertain, the field has no inside, or the mesh is thinner than leaves of the
+        last level.
 
     References
     ----------
     [ADF], [Frisken 2000]
     """
     return distances.plan_field(
-        as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band, fill=fill,
-        continuous=continuous, bounds=bounds, max_bytes=max_bytes, measure=measure,
-        max_texture=max_texture, device=device, max_memory=max_memory, stores=lambda: Spool(STREAM),
+        as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band,
+        guarantee=guarantee, fill=fill, continuous=continuous, bounds=bounds, max_bytes=max_bytes,
+        measure=measure, max_texture=max_texture, device=device, max_memory=max_memory,
+        stores=lambda: Spool(STREAM),
     )  # fmt: skip
 
 

@@ -101,7 +101,8 @@ def plan_components(
     octree
         an Octree or a path.
     neighbours
-        voxels that are connected: 6 (across faces) or 26 (also across edges and corners).
+        voxels that are connected: 6 (across faces), 18 (also across edges) or 26 (also across
+        corners).
     max_memory
         bytes that may be used; by default what the machine has. The work is done on the host.
 
@@ -152,7 +153,8 @@ def plan_keep_components(
     min_size
         voxels that a component has at least, or it goes.
     neighbours
-        voxels that are connected: 6 (across faces) or 26 (also across edges and corners).
+        voxels that are connected: 6 (across faces), 18 (also across edges) or 26 (also across
+        corners).
     max_memory
         bytes that may be used; by default what the machine has. The work is done on the host.
 

@@ -205,6 +205,7 @@ def plan_extract(
     isovalue: float = 0.5,
     merge: bool = False,
     source: Mesh | Path | None = None,
+    adaptive: float | None = None,
     offset: float = 0.0,
     shell: float | None = None,
     device: Device | None = None,
@@ -218,8 +219,8 @@ def plan_extract(
         an Octree, a DistanceField or a path.
     style
         of an octree: "surface-nets" (the default), "marching-cubes", "voxel-faces" (two triangles a
-        square), or "sharp", which keeps the edges and corners of the source. Of a field: "sharp",
-        or by default a surface that rounds them off within a leaf.
+        square), or "sharp", which keeps the edges and corners of the source. For a field:
+        "sharp", or by default a surface that rounds them off within a leaf.
     by
         "label": one closed mesh for each label of an octree that has labels, as "surface-nets" or
         "voxel-faces". Where two labels meet, their meshes have the same vertices and triangles.
@@ -232,6 +233,10 @@ def plan_extract(
         join coplanar squares of voxel faces (greedy meshing); leaves T-junctions.
     source
         the mesh, or a path of it, that the octree or the field was made from; for "sharp".
+    adaptive
+        of an octree: larger cells where the surface is flat, for fewer triangles. No point of the
+        surface is further than this length, in world units, from the surface with cells of one
+        size, nor any point of that from it. Its `adaptive` says what is saved. Not of "sharp".
     offset
         of a field: distance of the surface, world units, negative inside.
     shell
@@ -267,18 +272,20 @@ def plan_extract(
     if by is not None:
         if isinstance(found, DistanceField):
             raise VoxtoolError("by is of octrees: a field has no labels")
-        single = (isovalue, merge, source, offset, shell)
-        if single != (0.5, False, None, 0.0, None) or level not in (None, VOXEL_LEVEL):
+        single = (isovalue, merge, source, adaptive, offset, shell)
+        if single != (0.5, False, None, None, 0.0, None) or level not in (None, VOXEL_LEVEL):
             raise VoxtoolError(
-                "by label, samples are voxels: leave out level, isovalue, merge, source, offset "
-                "and shell"
+                "by label, samples are voxels: leave out level, isovalue, merge, source, adaptive, "
+                "offset and shell"
             )
         style = style or LABEL_STYLES[0]
         return plan_labelled(found, by=by, style=style, device=device, max_memory=max_memory)
     if isinstance(found, DistanceField):
-        if (level, isovalue, merge) != (None, 0.5, False) or style not in (None, SHARP):
+        usual = (level, isovalue, merge, adaptive) == (None, 0.5, False, None)
+        if not usual or style not in (None, SHARP):
             raise VoxtoolError(
-                "style (but sharp), level, isovalue and merge are of octrees: this is a field"
+                "style (but sharp), level, isovalue, merge and adaptive are of octrees: this is a "
+                "field"
             )
         if (source is None) == (style == SHARP):
             raise VoxtoolError(f"style {SHARP} keeps the edges of a source: give both, or neither")
@@ -292,7 +299,7 @@ def plan_extract(
         source = source_of(found, as_mesh(source, max_memory))
     return surfaces.plan_extract(
         found, style=style or DEFAULT_STYLE, level=level, isovalue=isovalue, merge=merge,
-        source=source, device=device, max_memory=max_memory,
+        source=source, adaptive=adaptive, device=device, max_memory=max_memory,
     )  # fmt: skip
 
 

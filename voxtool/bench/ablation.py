@@ -76,6 +76,7 @@ def compare(
     planned: Callable[[], T],
     forced: Mapping[str, Callable[[], T]],
     same: Callable[[T, T], bool],
+    sizes: Mapping[str, int] | None = None,
 ) -> Iterator[Ablation]:
     """An ablation for each entry of `forced`.
 
@@ -84,12 +85,14 @@ def compare(
     reasons : why the plan left something out, by its name.
     planned, forced : the work as planned, and with a decision forced.
     same : compares two results.
+    sizes : the bytes that leaving something out saves, by its name; by default 0.
     """
     expected = planned()
     for what, run in forced.items():
         equal = same(expected, run())
         runs, others = timing.by_turns(bench.request, planned, run)
-        yield Ablation(*bench.names, work, what, reasons[what], runs, others, equal)
+        saved = (sizes or {}).get(what, 0)
+        yield Ablation(*bench.names, work, what, reasons[what], runs, others, equal, saved)
 
 
 def of_job(
@@ -100,17 +103,25 @@ def of_job(
     work: str,
 ) -> Iterator[Ablation]:
     """An ablation for each name in the job's `left_out` that `decisions` can undo."""
-    forced = {what: job.with_(**decisions[what]).run for what in job.left_out if what in decisions}
-    yield from compare(bench, work, job.left_out, job.run, forced, same)
+    others = {what: job.with_(**decisions[what]) for what in job.left_out if what in decisions}
+    own = job.plan.cost.device
+    sizes = {what: other.plan.cost.device - own for what, other in others.items()}
+    forced = {what: other.run for what, other in others.items()}
+    yield from compare(bench, work, job.left_out, job.run, forced, same, sizes)
+
+
+def _same_voxels(planned: Octree, forced: Octree) -> bool:
+    return replace(forced, fill=planned.fill).digest() == planned.digest()
+
+
+def of_left_out_voxels(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]:
+    """Ablations of what the plan of a voxelization leaves out."""
+    yield from of_job(job, VOXELIZE, _same_voxels, bench, work)
 
 
 def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]:
-    """Ablations of a voxelization."""
-
-    def same(planned: Octree, forced: Octree) -> bool:
-        return replace(forced, fill=planned.fill).digest() == planned.digest()
-
-    yield from of_job(job, VOXELIZE, same, bench, work)
+    """Ablations of a voxelization: what its plan leaves out, and other methods."""
+    yield from of_left_out_voxels(job, bench, work)
     others = {what: job.with_(**decision) for what, (decision, _) in METHODS.items()}
     if not job.plan.by_rows:
         del others[LEVELS]
@@ -118,24 +129,31 @@ def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]
         del others[JUMPS]
     reasons = {what: why for what, (_, why) in METHODS.items()}
     forced = {what: other.run for what, other in others.items()}
-    yield from compare(bench, work, reasons, job.run, forced, same)
+    yield from compare(bench, work, reasons, job.run, forced, _same_voxels)
 
 
 def of_extract(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:
     """Ablations of an extraction by marching cubes: its cubes away from nodes, and histogram
     pyramids in place of the scan, each where it fits in memory."""
-
-    def same(planned: Isosurface, forced: Isosurface) -> bool:
-        return forced.digest() == planned.digest()
-
-    def fits(other: ExtractJob) -> bool:
-        return other.plan.fits(job.limit, bench.timed.info.max_allocation)
-
-    if fits(job.with_(naive=True)):
-        yield from of_job(job, EXTRACT, same, bench, work)
+    yield from of_cubes(job, bench, work)
     others = {what: job.with_(compaction=name) for what, name in PYRAMIDS.items()}
-    forced = {what: other.run for what, other in others.items() if fits(other)}
-    yield from compare(bench, work, dict.fromkeys(PYRAMIDS, SCANNED), job.run, forced, same)
+    forced = {what: other.run for what, other in others.items() if _fits(other, bench)}
+    reasons = dict.fromkeys(PYRAMIDS, SCANNED)
+    yield from compare(bench, work, reasons, job.run, forced, _same_surface)
+
+
+def of_cubes(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:
+    """The ablation of an extraction's cubes away from nodes, if all cubes fit in memory."""
+    if _fits(job.with_(naive=True), bench):
+        yield from of_job(job, EXTRACT, _same_surface, bench, work)
+
+
+def _same_surface(planned: Isosurface, forced: Isosurface) -> bool:
+    return forced.digest() == planned.digest()
+
+
+def _fits(job: ExtractJob, bench: Bench) -> bool:
+    return job.plan.fits(job.limit, bench.timed.info.max_allocation)
 
 
 def of_field(job: Job[DistanceField], bench: Bench, work: str) -> Iterator[Ablation]:
@@ -175,4 +193,6 @@ def of_queries(
     forced = {
         what: partial(distances, FieldQuery(other, bench.timed)) for what, other in fields.items()
     }
-    yield from compare(bench, work, reasons, planned, forced, np.array_equal)
+    own = sum(field.sizes().values())
+    sizes = {what: sum(other.sizes().values()) - own for what, other in fields.items()}
+    yield from compare(bench, work, reasons, planned, forced, np.array_equal, sizes)

@@ -9,6 +9,7 @@ import re
 import statistics
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +29,11 @@ from voxtool.bench.points import (
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from voxtool.bench.points import Ablation, Point
+
+    Lines = Mapping[str, Sequence[tuple[float, float, float]]]  # by name: number, ms, spread
 
 COLOURS = ("#2f7ed8", "#e07b00", "#1a9e77", "#c2417c", "#7a6ad8", "#a07a1f", "#d0453e", "#1597a8",
            "#6b8e23", "#8a5a44", "#5f7f95", "#b05fd0")  # fmt: skip
@@ -42,8 +45,8 @@ DPI = 144  # of PNG
 NEAR = (80, 20)  # pixels, across and up, within which two labels of points would overlap
 
 
-# Of the text, of grid lines, and of the ground. Nothing else in a chart has these colours, so that
-# the page's own can replace them.
+# Colours of letters, grid lines and background. Nothing else in a chart has these colours, so that
+# those of the page can replace them.
 INK, GRID, GROUND = "#1d2530", "#d5dae0", "#ffffff"
 CSS = {INK: "currentColor", GRID: "var(--grid)", GROUND: "var(--card)"}
 
@@ -78,12 +81,17 @@ def ablation_charts(ablations: Sequence[Ablation]) -> list[Chart]:
     ]
 
 
+def lines_chart(lines: Lines, heading: str, of: str) -> Chart:
+    """The chart of milliseconds against a number, `of` what, with bars as long as spreads."""
+    return _chart(partial(_draw_lines, heading=heading, of=of), lines, slug(heading))
+
+
 def slug(text: str) -> str:
     """A file name for a title, such as "voxelize-bunny-obj-mesh-to-voxels"."""
     return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")[:100]
 
 
-def _chart(draw: Any, points: Sequence[Any], name: str) -> Chart:
+def _chart(draw: Any, points: Any, name: str) -> Chart:
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -192,6 +200,23 @@ def draw_cost(figure: Any, points: Sequence[Point]) -> None:
     plot.margins(0.08, 0.12)
     plot.set(xlabel=next(p.size_of for p in points if p.size), ylabel="seconds")
     _finish(figure, f"{title(points[0].chart)}: cost against size")
+
+
+def _draw_lines(figure: Any, lines: Lines, *, heading: str, of: str) -> None:
+    plot = _logarithmic(figure)
+    for number, (name, line) in enumerate(lines.items()):
+        x, y, spreads = zip(*line, strict=True)
+        plot.errorbar(
+            x, y, yerr=[np.zeros(len(y)), np.multiply(y, spreads)],
+            marker=MARKERS[number % len(MARKERS)], markersize=5, markerfacecolor=GROUND,
+            color=COLOURS[number % len(COLOURS)], linewidth=1.5, elinewidth=1, capsize=2,
+            label=plain(name),
+        )  # fmt: skip
+    sizes = sorted({point[0] for line in lines.values() for point in line})
+    plot.set_xticks(sizes, [f"{size:,g}" for size in sizes])
+    plot.set_xticks([], minor=True)
+    plot.set(xlabel=of, ylabel="milliseconds")
+    _finish(figure, heading)
 
 
 def draw_stages(figure: Any, points: Sequence[Point]) -> None:

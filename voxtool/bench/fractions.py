@@ -35,8 +35,8 @@ TOO_LARGE = {"rms": f"voxels are compared up to dim {SAMPLED_DIM}"}
 
 def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model: fractions of each type, and of faces, points and the solid; the root
-    mean square of the errors of cut voxels, and the error of the volume. Of fractions, the figure
-    "by the lattice" is the share of the volume that rounding of the vertices changes."""
+    mean square of the errors of cut voxels, and the error of the volume. For fractions, the
+    figure "by the lattice" is the share of the volume that rounding of the vertices changes."""
     mesh = load_mesh(bench.model)
     for dim in bench.request.dims:
         grid = Grid.fit(mesh, dim)

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from voxtool.errors import VoxtoolError
+from voxtool.errors import VoxtoolError, human
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Sequence
@@ -46,6 +46,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "repair": SURFACE | {"not closed": "1 unless closed and manifold"},
     "growth": {"rms": "of the cube's side"},
     "degenerate": {"rms": "of the cube's side"},
+    "plans": {},
 }
 _UNITS = {  # of further measures, in the order of their columns
     "host": "s", "command": "s", "build": "s", "upload": "s", "ns a point": "ns",
@@ -54,6 +55,7 @@ _UNITS = {  # of further measures, in the order of their columns
     "outer surface": "share", "within": "share", "within near the surface": "share",
     "bits a key": "number", "max unsigned": "number", "largest alpha": "number",
     "by the lattice": "share", "times a peer": "number", "over the file": "number",
+    "triangles saved": "share", "from uniform": "number",
 }  # fmt: skip
 _COUNTS = ("triangles", "vertices", "voxels", "depth", "blocks", "over tolerance", "side of slots",
            "side of offsets", "w", "break-even", "other sign", "pixels compared",
@@ -137,6 +139,8 @@ class Ablation:
     what, why : the part that the plan left out, and its reason.
     runs, forced : seconds of each repeat as planned, and with the decision forced, in turns.
     same : True if the results are the same, bit for bit.
+    saved_bytes : of the device's memory, as the plans predict, or of a field, that leaving it out
+        saves.
     """
 
     bench: str
@@ -147,6 +151,7 @@ class Ablation:
     runs: list[float]
     forced: list[float]
     same: bool
+    saved_bytes: int = 0
 
     @property
     def saved(self) -> float:
@@ -160,10 +165,12 @@ class Ablation:
 
     @property
     def verdict(self) -> str:
-        """The time that was saved or lost, in words."""
-        if not self.beyond_noise:
-            return "within the noise"
-        return f"{duration(abs(self.saved))} {'saved' if self.saved > 0 else 'lost'}"
+        """The time and the bytes that were saved or lost, in words."""
+        time = "0 s, within the noise"
+        if self.beyond_noise:
+            time = f"{duration(abs(self.saved))} {'saved' if self.saved > 0 else 'lost'}"
+        size = f"{human(abs(self.saved_bytes))} {'saved' if self.saved_bytes >= 0 else 'lost'}"
+        return f"{time}; {size}"
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types."""

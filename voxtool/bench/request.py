@@ -38,6 +38,7 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "scale": ("dims",),
     "repair": ("dims", "samples"),
     "degenerate": ("triangles",),
+    "plans": (),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
                "component"),
 }  # fmt: skip

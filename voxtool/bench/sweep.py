@@ -22,6 +22,7 @@ from voxtool.bench import (
     growth,
     morph,
     pictures,
+    plans,
     repair,
     scale,
     tets,
@@ -59,7 +60,9 @@ BENCHES = {
     "repair": repair.measure,
     "growth": growth.measure,
     "degenerate": degenerate.measure,
+    "plans": plans.measure,
 }
+GENERATED = {"degenerate": degenerate, "plans": plans}  # whose models are names of their own
 
 
 def sweep(
@@ -69,7 +72,7 @@ def sweep(
     progress: Callable[[str], None] = lambda step: None,
 ) -> Iterator[Point | Ablation]:
     """Measure each model in the named benches, by default in every bench for its kind of file. The
-    models of the bench "degenerate" are kinds of meshes, by default all.
+    models of the benches in GENERATED are names of what they generate, by default all.
 
     Parameters
     ----------
@@ -82,11 +85,12 @@ def sweep(
     bench = Bench(
         request, shared_device(request.device), shared_device(request.device, profile=True)
     )
-    if benches == ("degenerate",):
-        models = models or degenerate.KINDS
+    generated = GENERATED.get(benches[0]) if benches else None
+    if generated:
+        models = models or generated.KINDS
     for model in models:  # read all before anything is measured
-        if benches == ("degenerate",):
-            degenerate.check_kind(model)
+        if generated:
+            generated.check_kind(model)
         elif is_volume(model):
             read_unstructured(model, request.scalar, request.component)
         else:

@@ -20,6 +20,7 @@ from voxtool.adf.hashing import KEYS_AN_OFFSET, build_hash
 from voxtool.adf.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.adf import points_of
+from voxtool.bench.text_peers import field_rows
 from voxtool.bench.text_rows import MISPRINT, Row
 from voxtool.errors import MemoryLimitError
 from voxtool.files.mesh import load_mesh
@@ -73,6 +74,9 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
         yield from _hash(row, field, bench)
         yield from _sizes(row, field)
         yield from _searches(row, mesh, field, level, bench)
+        asked = replace(bench.request, repeat=RUNS, levels=(level,))
+        points = {POINTS[kind]: places for kind, places in points_of(mesh, asked).items()}
+        yield from field_rows(row, field, points, replace(bench, request=asked))
 
 
 def _hash(row: partial[Row], field: DistanceField, bench: Bench) -> Iterator[Row]:

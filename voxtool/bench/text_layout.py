@@ -17,7 +17,7 @@ READING = (
     "Each table has the figures of a text and, below, those of voxtool on the models of this call. "
     "Where a text has no figure, the lines below the table quote it, translated and shortened. "
     "Times are of different machines: compare how they grow from column to column. "
-    "Figures with a * have a note."
+    "Figures with a * have a note. ± is the slowest run minus the fastest, over the median."
 )
 
 
@@ -31,7 +31,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Group:
-    """What is measured, and its lines."""
+    """A quantity that is measured, and its lines."""
 
     what: str
     lines: tuple[Line, ...]
@@ -98,18 +98,23 @@ def _lines(rows: Sequence[Row], settings: Sequence[str]) -> Iterator[Line]:
     if printed:
         yield Line(TEXT, tuple(printed.get(setting, "-") for setting in settings))
     for way, some in _by(rows, lambda row: row.way).items():
-        ours = {row.setting: _figure(row.voxtool) for row in some if row.voxtool is not None}
+        ours = {
+            row.setting: _figure(row.voxtool, spread=row.spread)
+            for row in some
+            if row.voxtool is not None
+        }
         if ours:
             yield Line(way or VOXTOOL, tuple(ours.get(setting, "-") for setting in settings))
 
 
-def _figure(number: float, note: str = "") -> str:
+def _figure(number: float, note: str = "", spread: float | None = None) -> str:
     whole = number == int(number) or abs(number) >= 1000
-    return (f"{number:,.0f}" if whole else f"{number:.4g}") + "*" * bool(note)
+    text = (f"{number:,.0f}" if whole else f"{number:.4g}") + "*" * bool(note)
+    return text if spread is None else f"{text} ±{100 * spread:.0f} %"
 
 
 def _words(rows: Sequence[Row]) -> Iterator[str]:
-    """What the text says, what voxtool's figures are, and the notes; equal words once."""
+    """Yield what a text states, what our figures mean, and the notes; equal words once."""
     said: dict[tuple[str, str], dict[str, None]] = {}  # what they are about, by who and words
     for (what, way), some in _by(rows, lambda row: (row.what, row.way)).items():
         own = _by(some, lambda row: row.ours)

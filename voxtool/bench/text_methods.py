@@ -6,13 +6,17 @@ stages on the device, in turns. Rows of a forced method say whether its result i
 
 from __future__ import annotations
 
+import statistics
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from voxtool.bench import timing
+from voxtool.bench.text_peers import decoding_rows
 from voxtool.bench.text_rows import Row
 from voxtool.bench.text_voxels import SUM, on_device
+from voxtool.bench.timing import WHOLE
 from voxtool.bench.voccel_tables import DIMS, QUICK_DIMS
 from voxtool.choices import MARCHING_CUBES
 from voxtool.files.mesh import load_mesh
@@ -29,6 +33,8 @@ if TYPE_CHECKING:
     from voxtool.bench.timing import Bench
     from voxtool.job import Job
     from voxtool.svo.octree import Octree
+
+    Runs = list[dict[str, float]]  # the seconds of the stages of each run
 
 LARGEST_NAIVE = 1024  # dim, of which figure 7.2 has a quarter along each axis
 FASTER = 85.0
@@ -117,18 +123,19 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
     mesh = load_mesh(bench.model)
     model = f"{Path(bench.model).name}, {len(mesh.faces):,} triangles"
     yield from _tables(model)
+    yield from decoding_rows(partial(Row, model=model, setting=""), bench)
     for dim in DIMS[:QUICK_DIMS] if quick else DIMS:
         grid = Grid.fit(mesh, dim, fit="stretch")
         for mode, methods in METHODS.items():
             job = plan_voxelize(mesh, grid, mode, fill="parity", device=bench.profiled)
-            octree, spent, words = _run(bench, job, methods)
+            octree, runs, words = _run(bench, job, methods)
             for m in methods:
                 row = partial(Row, f"[voCCeL] {m.table}", model, f"{m.what}, {mode}", f"dim {dim}",
                               "ms", statement=m.statement)  # fmt: skip
                 for way in (m.planned, *m.ways):
-                    stages = spent[way if way in m.ways else ""]
-                    named = [name for name in m.stages if name in stages]
-                    yield row(way=way, voxtool=1000 * sum(stages[name] for name in named),
+                    found = runs[way if way in m.ways else ""]
+                    named = [name for name in m.stages if name in found[-1]]
+                    yield row(way=way, **_milliseconds(found, named),
                               ours=f"{_stages(named)}{words.get(way, '')}")  # fmt: skip
             if mode == "solid":
                 yield from _compactions(bench, octree, model, dim)
@@ -138,15 +145,15 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
 
 def _run(
     bench: Bench, job: Job[Octree], methods: Sequence[Method]
-) -> tuple[Octree, dict[str, dict[str, float]], dict[str, str]]:
-    """The octree of a job, and by way, "" as planned, the seconds of its stages; and for each way
-    that is forced, words on its octree."""
+) -> tuple[Octree, dict[str, Runs], dict[str, str]]:
+    """The octree of a job, and by way, "" as planned, the seconds of its stages in each run; and
+    for each way that is forced, words on its octree."""
     jobs = {way: job.with_(**forced) for m in methods for way, forced in m.ways.items()}
     octree = job.run()
     same = {way: other.run().digest() == octree.digest() for way, other in jobs.items()}
-    profiles = bench.profile(job.run, *(other.run for other in jobs.values()))
-    spent = {way: stages for way, (stages, _) in zip(("", *jobs), profiles, strict=True)}
-    return octree, spent, {way: _compared(equal, "octree") for way, equal in same.items()}
+    every = bench.stage_runs(job.run, *(other.run for other in jobs.values()))
+    runs = dict(zip(("", *jobs), every, strict=True))
+    return octree, runs, {way: _compared(equal, "octree") for way, equal in same.items()}
 
 
 def _compared(same: bool, what: str) -> str:
@@ -158,13 +165,13 @@ def _compactions(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator
     scan = plan_extract(octree, style=MARCHING_CUBES, level=0, device=bench.profiled)
     jobs = {name: scan.with_(compaction=name) for name in COMPACTIONS}
     surfaces = {name: job.run().digest() for name, job in jobs.items()}
-    profiles = bench.profile(*(job.run for job in jobs.values()))
+    every = bench.stage_runs(*(job.run for job in jobs.values()))
     row = partial(Row, "[voCCeL] section 4.1", model, setting=f"dim {dim}", statement=PYRAMID)
-    for name, (stages, _) in zip(jobs, profiles, strict=True):
+    for name, runs in zip(jobs, every, strict=True):
         words = "" if name == SCAN else _compared(surfaces[name] == surfaces[SCAN], "surface")
         way = name.replace("pyramid-", "pyramid ") + ":1" * (name != SCAN)
         yield row("marching cubes", unit="ms", way=way, ours=f"{_stages(MARCHING)}{words}",
-                  voxtool=1000 * sum(stages[stage] for stage in MARCHING))  # fmt: skip
+                  **_milliseconds(runs, MARCHING))  # fmt: skip
         values, arity = jobs[name].plan.visited, COMPACTIONS[name]
         if arity is not None:
             stored = min(arity, MOST_STORED) * sum(level_groups(values, arity))
@@ -179,11 +186,12 @@ def _cubes(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator[Row]:
     if not naive.plan.fits(naive.limit, bench.profiled.info.max_allocation):
         return
     same = sparse.run().digest() == naive.run().digest()
-    profiles = bench.profile(sparse.run, naive.run)
-    spent, whole = (1000 * sum(on_device(stages).values()) for stages, _ in profiles)
+    found = [_milliseconds(runs, [name for name in on_device(runs[-1]) if name != WHOLE])
+             for runs in bench.stage_runs(sparse.run, naive.run)]  # fmt: skip
+    spent, whole = (one["voxtool"] for one in found)
     row = partial(Row, "[voCCeL] figure 7.2", model, setting=f"dim {dim}")
-    for way, time in (("cubes at nodes", spent), ("every cube", whole)):
-        yield row("marching cubes", unit="ms", way=way, voxtool=time, ours=SUM, statement=PLOT)
+    for way, one in zip(("cubes at nodes", "every cube"), found, strict=True):
+        yield row("marching cubes", unit="ms", way=way, **one, ours=SUM, statement=PLOT)
     yield row("time saved", unit="%", voxtool=100 * (1 - spent / whole),
               ours=f"by visiting cubes at nodes alone{_compared(same, 'surface')}", text=FASTER,
               statement="some 85 % or more, where finding the cubes is counted")  # fmt: skip
@@ -195,8 +203,12 @@ def _tables(model: str) -> Iterator[Row]:
     yield row("table for encoding", voxtool=MORTON_TABLE.nbytes, text=3 * 256 * 4,
               ours="numbers of 4 bytes, by axis and byte",
               statement="some 3 kB: 3 x 256 x 4")  # fmt: skip
-    yield row("table for decoding", voxtool=None, ours="codes are decoded by bits", text=3 * 512,
-              statement="1.5 kB: 3 x 512")  # fmt: skip
+
+
+def _milliseconds(runs: Runs, names: Sequence[str]) -> dict[str, Any]:
+    """The median of the sums of stages, and its spread, as fields of a Row."""
+    seconds = [sum(run.get(name, 0.0) for name in names) for run in runs]
+    return {"voxtool": 1000 * statistics.median(seconds), "spread": timing.spread(seconds)}
 
 
 def _stages(names: Sequence[str]) -> str:

@@ -25,9 +25,9 @@ TITLES = {  # the tables and sections, in the order in which they are shown
     "[voCCeL] section 5.1": "the tables of Morton codes",
     "[voCCeL] algorithm 2": "how the brick of a voxel is found",
     "[voCCeL] section 4.1": "histogram pyramids, or a scan",
-    "[ADF] section 3.1": "samples that siblings share",
+    "[ADF] section 3.1": "samples that siblings share, or each cell has, or each vertex once",
     "[ADF] section 3.2": "leaves that are implicit",
-    "[ADF] section 3.4": "the perfect hash, with w and without",
+    "[ADF] section 3.4": "the perfect hash, with w and without, and a hash with probes",
     "[ADF] section 3.5": "searches for a leaf",
     "[TetVol] table 4": "textures for cell projection",
     "[TetVol] table 5": "textures for ray casting",
@@ -56,6 +56,7 @@ class Row:
     text_model : the source's model, if it names one.
     statement : the source's words, translated and shortened, instead of or beside a figure.
     note : why the figures are not to be compared; or "".
+    spread : the slowest run minus the fastest, over the median, of voxtool's figure; or None.
     """
 
     table: str
@@ -70,6 +71,7 @@ class Row:
     text_model: str = ""
     statement: str = ""
     note: str = ""
+    spread: float | None = None
 
     @property
     def key(self) -> str:

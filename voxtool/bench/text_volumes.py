@@ -23,7 +23,6 @@ from voxtool.tets.mesh import UnstructuredMesh, volume_cells
 from voxtool.tets.scene import VolumeScene
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
-from voxtool.tets.view import DeviceVolume
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -160,7 +159,6 @@ def _changes(
     volume: TetVolume, transfer: TransferFunction, model: str, bench: Bench
 ) -> Iterator[Row]:
     """Rows of a change of the transfer function."""
-    on_device = DeviceVolume.of(volume, bench.timed)
     low, width = transfer.scalars[0], float(np.ptp(transfer.scalars))
     moves = count(1)
 
@@ -169,7 +167,7 @@ def _changes(
         moved = low + width * 0.01 * next(moves)
         scalars = moved + (transfer.scalars - low) * (1 - (moved - low) / width)
         scene = VolumeScene(volume, replace(transfer, scalars=scalars), integrator=integrator)
-        on_device.shown(volume, scene.blocks)
+        on_device, _ = scene.shown_on(bench.timed)
         Integral(volume, scene.local, on_device, integrator)
         bench.timed.queue.finish()
 

@@ -21,7 +21,7 @@ MESH_STEPS, VOLUME_STEPS = ("tables", "methods", "fields"), ("volume",)
 
 
 def steps_of(models: Sequence[str]) -> list[str]:
-    """What `rows_of` tells of its progress, in order; a model that is named twice counts once."""
+    """The steps that `rows_of` reports, in order; a model that is named twice counts once."""
     steps = {model: VOLUME_STEPS if is_volume(model) else MESH_STEPS for model in models}
     return [f"{step}, {model}" for model, names in steps.items() for step in names]
 

@@ -16,13 +16,14 @@ from voxtool.bench.points import Point
 from voxtool.errors import VoxtoolError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from voxtool.bench.request import Request
     from voxtool.opencl import Device
 
 T = TypeVar("T")
 MOST_RUNS = 9
+WHOLE = ""  # beside stages: the whole run
 PEER_RUNS = 3
 PATIENCE = 5.0  # seconds of a peer
 LONG = 5.0  # seconds of work whose stages are timed without a warm-up: compiling hardly shows
@@ -38,6 +39,11 @@ def timed(work: Callable[[], T]) -> tuple[float, T]:
 def times(work: Callable[[], object], repeat: int) -> list[float]:
     """Seconds of each of `repeat` runs."""
     return [timed(work)[0] for _ in range(repeat)]
+
+
+def spread(seconds: Sequence[float]) -> float:
+    """The slowest run minus the fastest, over the median."""
+    return (max(seconds) - min(seconds)) / statistics.median(seconds)
 
 
 def by_turns(request: Request, *works: Callable[[], object]) -> list[list[float]]:
@@ -127,24 +133,29 @@ class Bench:
     ) -> list[tuple[dict[str, float], float]]:
         """The seconds of the stages of each work on the profiled device, and those that Python
         adds; medians of runs in turns, after one that does not count if `warm_up`."""
-        runs: list[list[dict[str, float]]] = [[] for _ in works]
-        whole: list[list[float]] = [[] for _ in works]
-        for _ in range(self.request.repeat + warm_up):
-            for work, stages, seconds in zip(works, runs, whole, strict=True):
-                self.profiled.stage_times()
-                seconds += times(work, 1)
-                stages.append(self.profiled.stage_times())
-        medians = [
-            {
-                name: statistics.median(run.get(name, 0.0) for run in every[warm_up:])
-                for name in every[-1]
+        found = []
+        for runs in self.stage_runs(*works, warm_up=warm_up):
+            stages = {
+                name: statistics.median(run.get(name, 0.0) for run in runs)
+                for name in runs[-1]
+                if name != WHOLE
             }
-            for every in runs
-        ]
-        return [
-            (stages, statistics.median(seconds[warm_up:]) - sum(stages.values()))
-            for stages, seconds in zip(medians, whole, strict=True)
-        ]
+            whole = statistics.median(run[WHOLE] for run in runs)
+            found.append((stages, whole - sum(stages.values())))
+        return found
+
+    def stage_runs(
+        self, *works: Callable[[], object], warm_up: bool = True
+    ) -> list[list[dict[str, float]]]:
+        """The seconds of the stages of each run of each work, and of the whole run as WHOLE; as of
+        profile."""
+        found: list[list[dict[str, float]]] = [[] for _ in works]
+        for _ in range(self.request.repeat + warm_up):
+            for work, runs in zip(works, found, strict=True):
+                self.profiled.stage_times()
+                seconds = times(work, 1)[0]
+                runs.append({**self.profiled.stage_times(), WHOLE: seconds})
+        return [runs[warm_up:] for runs in found]
 
 
 class Peers:

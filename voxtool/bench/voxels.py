@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
     from voxtool.svo.surface.isosurface import Isosurface
 
+ADAPTIVE_DIM, ADAPTIVE = 256, 0.5  # up to which dim cells of different size; tolerance in voxels
 DENSE_BYTES = 2  # a voxel of another tool, whose grid is made dense to be measured
 SOLID, SURFACE = "mesh to solid voxels", "mesh to voxels of the surface"
 
@@ -234,6 +235,8 @@ def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
     for dim, style in product(asked.dims, asked.styles):
         if style in (MARCHING_CUBES, SURFACE_NETS):
             yield _of_fractions(mesh, dim, style, against, bench)
+        if style == SURFACE_NETS and dim <= ADAPTIVE_DIM:
+            yield _adaptive(mesh, dim, against, bench)
     if asked.ablations and MARCHING_CUBES in asked.styles:
         for dim in asked.dims:
             octree = voxelize(mesh, Grid.fit(mesh, dim), fill=asked.fills[0], device=bench.timed)
@@ -245,19 +248,39 @@ def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
 
 def _of_fractions(mesh: Mesh, dim: int, style: str, against: Reference, bench: Bench) -> Point:
     """The point of a surface of the fractions of voxels."""
-    asked, grid = bench.request, Grid.fit(mesh, dim)
-    octree = plan_fractions(mesh, grid, fill=asked.fills[0], device=bench.timed).run()
-    plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue)
+    grid, fill = Grid.fit(mesh, dim), bench.request.fills[0]
+    octree = plan_fractions(mesh, grid, fill=fill, device=bench.timed).run()
+    return _of_voxels(octree, dim, style, f"{style}, fractions", against, bench)
+
+
+def _adaptive(mesh: Mesh, dim: int, against: Reference, bench: Bench) -> Point:
+    """The point of surface nets with cells of different size."""
+    grid, fill = Grid.fit(mesh, dim), bench.request.fills[0]
+    octree = voxelize(mesh, grid, "solid", fill=fill, device=bench.timed)
+    method, tolerance = f"{SURFACE_NETS}, adaptive {ADAPTIVE:g} voxel", ADAPTIVE * max(grid.pitch)
+    return _of_voxels(octree, dim, SURFACE_NETS, method, against, bench, adaptive=tolerance)
+
+
+def _of_voxels(
+    octree: Octree, dim: int, style: str, method: str, against: Reference, bench: Bench, **more: Any
+) -> Point:
+    """The point of a surface whose samples are voxels; `more`: further options of plan_extract."""
+    asked, pitch = bench.request, max(octree.grid.pitch)
+    plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue, **more)
     job = plan(device=bench.timed)
     made = job.run()
     found = against.errors_of(made.mesh())
+    saved: dict[str, float] = {}
+    if told := made.adaptive:
+        saved["triangles saved"] = 1 - len(made.faces) / told.uniform
+        saved["from uniform"] = told.furthest / pitch
     return bench.point(
-        "solid voxels to surface", f"{style}, fractions", f"dim {dim}", size=dim, size_of="dim",
+        "solid voxels to surface", method, f"dim {dim}", size=dim, size_of="dim",
         run=lambda device: plan(device=device).run(),
         asked={"dims": dim, "fills": asked.fills[0], "styles": style, "isovalue": asked.isovalue,
                "samples": asked.samples},
         setting={"rule": octree.fill, "level": made.level, "against": against.words},
-        figures={**_cubes(octree, made), **against.in_voxels(found, max(grid.pitch))},
+        figures={**_cubes(octree, made), **saved, **against.in_voxels(found, pitch)},
         left_out=job.left_out, bytes=made.points.nbytes + made.faces.nbytes, **found,
     )  # fmt: skip
 

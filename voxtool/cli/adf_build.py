@@ -19,7 +19,7 @@ from voxtool.choices import (
 )
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
-from voxtool.cli.options import BYTES, option, together
+from voxtool.cli.options import BYTES, flag, option, together
 from voxtool.errors import CheckError, count_of, human
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     option("--band", float,
         "Refine only within WIDTH of the surface, in sides of the cube.  [default: everywhere]",
         math.inf, metavar="WIDTH"),
+    flag("--guarantee",
+        "Refine by the error bound of a leaf, not by samples of its error, down to --max-level."),
     option("--max-bytes", BYTES,
         "Approximate size of the field (60M).  The largest errors are refined first.",
         metavar="BYTES"),
@@ -53,6 +55,9 @@ if TYPE_CHECKING:
         True),
     option("--bounds/--no-bounds", bool, "Store a bound of each leaf's error, or not.", True,
         show_default=False),
+    option("--errors/--no-errors measure", bool,
+        "Measure the field's errors, at up to 32,768 points in the cube and as many near the "
+        "surface, or not.", True, show_default=False),
     option("--windows", ("auto", "never"),
         "auto: if the field would take more than --max-memory, its blocks and levels wait on the "
         "disk, with the same content; never: refuse.", "auto"),
@@ -104,9 +109,9 @@ def command(
         lambda: facts_of(field),
         details_of(field),
     )
-    if run.strict and reached["missed"]:
+    if run.strict and (over := reached["missed"] or reached.get("unproved")):
         raise CheckError(
-            f"{run.output}: {reached['missed']:,} leaves miss the tolerance (--strict): choose a "
+            f"{run.output}: {over:,} leaves miss the tolerance (--strict): choose a "
             "higher --max-level, a larger --tolerance or more --max-bytes"
         )
 
@@ -135,10 +140,11 @@ def facts_of(field: DistanceField) -> dict[str, Any]:
 
 def error_near(field: DistanceField) -> str:
     """Return the error near the surface, if it was measured."""
-    errors = field.reached["errors"].get("near the surface")
+    errors = field.reached.get("errors", {}).get("near the surface")
     if not errors or not errors["points"]:
         return ""
-    return f"; error near the surface rms {errors['rms']:.2g} sides"
+    points = count_of(errors["points"], "point")
+    return f"; error near the surface rms {errors['rms']:.2g} sides at {points}"
 
 
 def missed(field: DistanceField, limited: bool) -> str:
@@ -161,7 +167,7 @@ def missed(field: DistanceField, limited: bool) -> str:
 def details_of(field: DistanceField) -> Iterator[str]:
     """Yield lines of the errors, cells and textures of a field."""
     n, reached = len(field.voxels), field.reached
-    for where, errors in reached["errors"].items():
+    for where, errors in reached.get("errors", {}).items():
         if errors["points"]:
             yield (
                 f"error {where}: 99 % within {errors['p99']:.3g}, rms {errors['rms']:.3g}, max "
@@ -178,6 +184,12 @@ def details_of(field: DistanceField) -> Iterator[str]:
         yield (
             f"medial    {count_of(medial['leaves'], 'leaf')} over the tolerance along the medial "
             f"axis, by up to {medial['error'] - field.tolerance:.3g} sides"
+        )
+    if unproved := reached.get("unproved"):
+        yield f"unproved  {count_of(unproved, 'leaf')} whose bound is over the tolerance"
+    if kept := reached.get("kept"):
+        yield (
+            f"kept      {kept:,} hanging vertices exact, where coarser leaves have the other sign"
         )
     if reached["jumps"]:
         yield f"jumps     {reached['jumps']:,} leaves, where the sign jumps, as across a hole"

@@ -260,6 +260,17 @@ COMMANDS = {
       voxtool bench degenerate copies book --triangles 100000 --repeat 1
       voxtool bench degenerate --triangles 1000 --repeat 1 -o report
     """,
+    "plans": """Measure what plans leave out, for ten scenes of each wing.
+
+    MODELS are scenes that are generated, as voxels-cube and field-ball; by default all. For each
+    part that its plan leaves out, a decision is forced that undoes it: the time and the bytes of
+    memory that leaving it out saves are printed.
+
+    \b
+    Examples:
+      voxtool bench plans voxels-cube field-ball
+      voxtool bench plans --repeat 3 -o report
+    """,
 }
 UNITS = """
     Times are medians after a warm-up, in memory, kernels compiled; ± is their spread. Errors are in
@@ -333,7 +344,7 @@ def bench_command(bench: str) -> click.Command:
     head, examples = COMMANDS[bench].split("\n\n    \b", 1)
     call.__doc__ = f"{head}\n{UNITS}\n    \b{examples}"
     decorate = together(
-        click.argument("models", nargs=-1, required=bench != "degenerate"),
+        click.argument("models", nargs=-1, required=bench not in ("degenerate", "plans")),
         flag("--quick", "Few and small settings: seconds, not minutes."),
         option("--repeat", click.IntRange(1, 1000), "Runs after a warm-up.  [default: 3, and up "
                "to 9 of short work; 2 with --quick]", metavar="N"),

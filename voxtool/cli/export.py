@@ -53,18 +53,18 @@ def number_of(text: str) -> int | str:
         "For .ply and .xyz: unit normals of the cells, to where less is set; 0 where there is no "
         "such direction, as deep inside."),
     option("--attribute attributes", str,
-        "Of an octree with attributes: those that are written (label, colour, normal, area, "
+        "Octrees: the attributes that are written (label, colour, normal, area, "
         "fraction, faces), or none.  [default: all that the format can hold, of one array the "
         "label]",
         metavar="NAME[,NAME...]"),
     option("--band", POSITIVE,
-        "Of a field as a level set: its half-width, in voxels.  [default: 3]", metavar="VOXELS"),
+        "Level sets of fields: the half-width, in voxels.  [default: 3]", metavar="VOXELS"),
     file_options("Fields: ", "the extent of the field"),
-    option("--origin", POINT, "Of a field: with --shape and --spacing, the low corner of the grid.",
+    option("--origin", POINT, "Fields: with --shape and --spacing, the low corner of the grid.",
         metavar="X,Y,Z"),
-    option("--shape", SHAPE, "Of a field: samples along each axis.", metavar="N|NX,NY,NZ"),
+    option("--shape", SHAPE, "Fields: samples along each axis.", metavar="N|NX,NY,NZ"),
     option("--spacing", SPACING,
-        "Of a field: distance of the samples, in world units: one number or three.  [default: edge "
+        "Fields: distance of the samples, in world units: one number or three.  [default: edge "
         "of its finest leaves, at most 256 samples a side]", metavar="S"),
     option("--slice plane", SLICE,
         "For .png: the plane of voxels to draw, or all for the layers of %04d.png.  [default: the "
@@ -74,7 +74,7 @@ def number_of(text: str) -> int | str:
         "For .tif and %04d.png: the axis along which the layers follow each other.  [default: z]"),
     option("--dpi", POSITIVE, "For .tif and %04d.png: pixels an inch."),
     option("--links", tuple(LATTICES),
-        "Of an octree, for lattice Boltzmann methods: the links of this lattice from fluid voxels "
+        "Octrees, for lattice Boltzmann methods: the links of this lattice from fluid voxels "
         "to others, and where they first meet --source; a .npz or .h5."),
     option("--source", str, "With --links: the mesh that the octree was made from.",
         metavar="MESH"),

@@ -20,7 +20,7 @@ from voxtool.choices import (
 )
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, POSITIVE, flag, option, output_of, together
-from voxtool.cli.placing import in_unit_of
+from voxtool.cli.placing import LENGTH, in_unit_of, in_world, mesh_origin
 from voxtool.errors import CheckError, MemoryLimitError, count_of
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from voxtool.job import Job
     from voxtool.svo.content import OctreeContent
     from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.isosurface import Adaptive, Isosurface
     from voxtool.tiles.surface import SurfaceWindowsJob
 MUCH = 0.02  # of the volume
 ROUNDED = "the surface rounds off what is only a few samples wide: {} keeps its volume"
@@ -56,6 +57,10 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
         ISOVALUE),
     option("--source", str, "sharp: the mesh that the octree or the field was made from.",
         metavar="MESH"),
+    option("--adaptive", LENGTH,
+        "Larger cells where the surface is flat, for fewer triangles: nowhere further from the "
+        "surface without it than this, in world units or voxels (0.5vox); not sharp.",
+        metavar="TOLERANCE"),
     option("--offset", float,
         "Fields: the surface at this distance, in world units; negative inside.", metavar="D"),
     option("--shell", POSITIVE,
@@ -67,6 +72,7 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
     flag("--naive",
         "Visit every cube of the grid, not only those that matter: the same mesh, for comparison."),
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
+    mesh_origin,
     flag("--check",
         "Print as JSON whether the mesh is closed and manifold, its genus, shells and volume; "
         "exit with 1 if it is not closed."),
@@ -84,7 +90,7 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
 def command(
     run: runner.Run, octree: str, source: str | None, normals: bool, check: bool,
     against: str | None, samples: int | None, naive: bool, units: str | None, scale: float,
-    windows: str, by: str | None, **request: Any,
+    windows: str, by: str | None, origin: tuple[float, ...] | None, **request: Any,
 ) -> None:  # fmt: skip
     """Extract a closed triangle mesh from an OCTREE or a distance field, visiting only the cubes
     that matter.
@@ -100,6 +106,7 @@ def command(
       voxtool extract bunny.svo.h5 --check --against bunny.obj
       voxtool extract bunny.svo.h5 --style sharp --source bunny.obj -o sharp.ply
       voxtool extract bunny.svo.h5 --style marching-cubes --level 0 -o coarse.obj
+      voxtool extract bunny.svo.h5 --adaptive 0.5vox -o fewer.ply
       voxtool voxelize parts.glb --attributes colour -o - | voxtool extract - -o coloured.glb
       voxtool voxelize parts.glb --labels part -o - | voxtool extract - --by label -o labels.glb
       voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
@@ -112,12 +119,9 @@ def command(
     if by is None:
         check_names(style, octree, source, against, bool(units or scale != 1))
     from voxtool.files import MESH_FORMATS, PART_FORMATS, open_shape, write_blocks, write_mesh
-    from voxtool.files.mesh import load_mesh
-    from voxtool.files.spool import Spool
+    from voxtool.svo.attributes import COLOUR
     from voxtool.svo.content import OctreeContent
-    from voxtool.svo.merged import in_memory
-    from voxtool.svo.octree import Octree
-    from voxtool.svo.surface.colours import COLOUR
+    from voxtool.svo.octree import Octree, in_memory
     from voxtool.svo.surface.isosurface import Isosurface
 
     # named after its style: bunny.obj is the mesh that the octree was made from
@@ -130,7 +134,7 @@ def command(
         request |= {"source": source, "against": against, "naive": naive, "normals": normals}
         request |= {"units": units, "scale": scale}
         del request["style"]
-        extract_labels(run, octree, by, style, check, request)
+        extract_labels(run, octree, by, style, check, origin, request)
         return
     if normals:
         options.check_normals(run.file_format)
@@ -149,6 +153,8 @@ def command(
                 with run.naming(octree):
                     content = run.stage("read file", in_memory, content, run.max_memory, used)
         shape: Any = content
+        if source is not None or against is not None:
+            from voxtool.files.mesh import load_mesh
         if source is not None:
             found = run.stage("read source", load_mesh, source, units=units, scale=scale)
             request["source"] = in_unit_of(run, found, shape)
@@ -159,6 +165,8 @@ def command(
         with run.naming(octree):
             job: Job[Any] = parts or planned(run, shape, request, naive)
             if parts and not run.only_plan:
+                from voxtool.files.spool import Spool
+
                 parts.store = stack.enter_context(Spool(str(run.output)))
             try:
                 surface: Any = run.job(job, after, empty=lambda surface: not len(surface.faces))
@@ -177,10 +185,11 @@ def command(
                 pitch=surface.pitch, device=run.device,
             )  # fmt: skip
         if parts:
-            run.write(write_blocks, surface)
+            run.write(write_blocks, surface, origin=origin)
         else:
             found = surface if isinstance(surface, Isosurface) else surface.mesh()
-            run.write(write_mesh, found, normals=surface.normals if normals else None)
+            own = surface.normals if normals else None
+            run.write(write_mesh, found, normals=own, origin=origin)
         text = f"{surface.text}; {count_of(len(surface.vertices), 'vertex')}, "
         text += count_of(len(surface.faces), "triangle")
         if isinstance(shape, OctreeContent):
@@ -189,7 +198,10 @@ def command(
                 more["check"] |= volumes
             text += f"; {volume_text(volumes, shape.units)}"
             run.notes += rounded_off(volumes, surface)
+        if saved := getattr(surface, "adaptive", None):
+            text += f"; {saved_text(saved, len(surface.faces), shape.units)}"
         facts = facts_of(shape, surface) if run.as_json or more else {}
+        facts |= {"origin": list(origin)} if origin else {}
     run.report(
         f"{text}, {run.size}",
         lambda: {**facts, **more},
@@ -204,23 +216,27 @@ def windows_of(
 ) -> SurfaceWindowsJob | None:
     """Return the extraction in windows of an octree that does not fit in memory as a whole, or
     None if it fits, or cannot be written in windows, as with fractions or colours."""
-    from voxtool.tiles.surface import plan_windows
+    from voxtool.svo.surface.extract import fits_whole, plan_unread
 
     of_octree = {name: request[name] for name in ("level", "isovalue", "merge")}
     of_octree["style"] = request["style"] or DEFAULT_STYLE
     if used_of(run, request) & {one.name for one in octree.attributes}:
         return None
-    if request["offset"] is not None or request["shell"] is not None:
+    if any(request[name] is not None for name in ("adaptive", "offset", "shell")):
         return None
+    if fits_whole(octree, plan_unread(octree, **of_octree), run.device, run.max_memory):
+        return None
+    from voxtool.tiles.surface import plan_windows
+
     return run.plan(plan_windows, octree, **of_octree)
 
 
 def used_of(run: runner.Run, request: dict[str, Any]) -> set[str]:
     """Return the attributes of an octree that its surface needs."""
     from voxtool.files.formats import COLOUR_FORMATS
-    from voxtool.svo.surface.colours import COLOUR
+    from voxtool.svo.attributes import COLOUR
 
-    coloured = run.file_format in COLOUR_FORMATS and not request["merge"]
+    coloured = run.file_format in COLOUR_FORMATS and not (request["merge"] or request["adaptive"])
     return {"fraction", COLOUR} if coloured else {"fraction"}
 
 
@@ -228,14 +244,14 @@ def planned(
     run: runner.Run, source: Octree | DistanceField, request: dict[str, Any], naive: bool
 ) -> Job[Any]:
     """Return the job for an octree or a field; refuse options of the other."""
-    from voxtool.adf.field import DistanceField
-    from voxtool.adf.surface.extract import plan_field_surface
     from voxtool.files.formats import COLOUR_FORMATS
+    from voxtool.svo.octree import Octree
     from voxtool.svo.surface.extract import plan_extract
-    from voxtool.svo.surface.sharp import source_of
 
     of_field = {name: request.pop(name) for name in ("offset", "shell")}
-    if isinstance(source, DistanceField):
+    if not isinstance(source, Octree):
+        from voxtool.adf.surface.extract import plan_field_surface
+
         usual = {"style": None, "level": VOXEL_LEVEL, "isovalue": ISOVALUE}
         usual |= {"merge": False, "naive": False}
         if "source" in request:
@@ -250,7 +266,11 @@ def planned(
         if value is not None:
             raise click.UsageError(f"--{name} is of fields: build one with voxtool adf-build")
     if "source" in request:
+        from voxtool.svo.surface.sharp import source_of
+
         request["source"] = source_of(source, request["source"])
+    if request["adaptive"] is not None:
+        request["adaptive"] = in_world(request["adaptive"], source)
     request["style"] = request["style"] or DEFAULT_STYLE
     job = run.plan(plan_extract, source, **request)
     if job.plan.colours and run.file_format not in COLOUR_FORMATS:
@@ -279,6 +299,15 @@ def check_names(
             raise options.input_twice("OCTREE", name)
     if against == source == "-":
         raise options.input_twice("--source", "--against")
+
+
+def saved_text(adaptive: Adaptive, triangles: int, units: str) -> str:
+    """Return what cells of different size save, and how far they take the surface, for people."""
+    unit = f" {units}" if units else ""
+    return (
+        f"{100 * (1 - triangles / adaptive.uniform):.1f} % of {adaptive.uniform:,} triangles "
+        f"saved, {adaptive.furthest:.3g}{unit} away, at most {adaptive.tolerance:.3g}{unit}"
+    )
 
 
 def volumes_of(within: float, of_voxels: float) -> dict[str, float]:
@@ -312,11 +341,26 @@ def rounded_off(volumes: dict[str, float], surface: Any) -> Iterator[str]:
         yield ROUNDED.format(f"--style {MARCHING_CUBES}")
 
 
+def saved_facts(surface: Isosurface) -> dict[str, Any]:
+    """Return what cells of different size save, in JSON types; lengths in world units."""
+    found = surface.adaptive
+    assert found is not None
+    return {
+        "adaptive": {
+            "tolerance": found.tolerance,
+            "furthest": found.furthest,
+            "uniform_triangles": found.uniform,
+            "triangles_saved": found.uniform - len(surface.faces),
+            "rounds": found.rounds,
+        }
+    }
+
+
 def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
-    from voxtool.adf.field import DistanceField
+    from voxtool.svo.content import OctreeContent
 
-    if isinstance(source, DistanceField):
+    if not isinstance(source, OctreeContent):
         return surface.facts
     features = surface.features
     return {
@@ -332,6 +376,7 @@ def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, A
         "voxels_vanished": surface.lost.vanished,
         **volumes_of(surface.volume, source.volume),
         "coloured": getattr(surface, "colours", None) is not None,
+        **(saved_facts(surface) if getattr(surface, "adaptive", None) else {}),
         **(
             {}
             if features is None
@@ -339,6 +384,7 @@ def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, A
                 "vertices_constrained": features.constrained,
                 "vertices_without_crossing": features.open,
                 "vertices_moved": features.moved,
+                "sharp_edges_farthest": features.farthest and features.farthest[0],
             }
         ),
         "digest": surface.digest(),

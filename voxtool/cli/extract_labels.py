@@ -20,7 +20,13 @@ COLOURED = "glb"  # the format whose meshes have vertices of their own, with col
 
 
 def extract_labels(
-    run: runner.Run, octree: str, by: str, style: str, check: bool, request: dict[str, Any]
+    run: runner.Run,
+    octree: str,
+    by: str,
+    style: str,
+    check: bool,
+    origin: tuple[float, ...] | None,
+    request: dict[str, Any],
 ) -> None:
     """Extract and write a mesh for each label; refuse options of single surfaces, which `request`
     has by name.
@@ -31,8 +37,8 @@ def extract_labels(
     """
     from voxtool.adf.field import DistanceField
     from voxtool.files import check_holds_parts, open_shape, write_mesh
-    from voxtool.svo.merged import in_memory
-    from voxtool.svo.surface.colours import COLOUR, has_colours
+    from voxtool.svo.attributes import COLOUR, has_colours
+    from voxtool.svo.octree import in_memory
     from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 
     usual = {"isovalue": 0.5, "level": VOXEL_LEVEL, "scale": 1}
@@ -62,7 +68,7 @@ def extract_labels(
         total = with_voxels(labels, shape)
         if abs(total["volume_ratio"] - 1) > MUCH:
             run.notes.append(ROUNDED.format(f"--style {VOXEL_FACES}"))
-        run.write(write_mesh, surface)
+        run.write(write_mesh, surface, origin=origin)
         if run.as_json or check:
             facts = {
                 "dim": surface.grid.dim,
@@ -74,6 +80,7 @@ def extract_labels(
                 "labels": labels,
                 "coloured": len(surface.colours) > 0,
                 "digest": surface.digest(),
+                **({"origin": list(origin)} if origin else {}),
             }
     run.report(
         f"{surface.text}; {count_of(len(surface.vertices), 'vertex')}, "

@@ -36,10 +36,10 @@ NUMBER = Parsed("float", number_of, " is not a valid float.")
     option("--label", NUMBER, "Set what has this value alone."),
     flag("--as-field", "Make a distance field: the values are signed distances, in world units."),
     option("--tolerance", float,
-        "Of a field: error at which a cell is no longer refined, in sides of its cube.  "
+        "Fields: error at which a cell is no longer refined, in sides of its cube.  "
         "[default: 0.001]"),
     option("--max-level", int,
-        "Of a field: level at which leaves are no longer refined.  [default: that of the samples, "
+        "Fields: level at which leaves are no longer refined.  [default: that of the samples, "
         "2 more where voxels are no cubes]"),
     option("--origin", POINT, "Low corner, in world units, instead of the file's.",
         metavar="X,Y,Z"),
@@ -48,9 +48,9 @@ NUMBER = Parsed("float", number_of, " is not a valid float.")
     option("--grid", str, "The grid of a .vdb that holds several.", metavar="NAME"),
     option("--from from_format", (*IMPORTS, VOCCEL),
         "Format of FILE, instead of what its name says."),
-    option("--like", str, "Of a .voccel.xml: the grid of an octree, or of an image or array.",
+    option("--like", str, "With a .voccel.xml: the grid of an octree, or of an image or array.",
         metavar="FILE"),
-    option("--mode", OCTREE_MODES, "Of a .voccel.xml: what its voxels are.  [default: solid]"),
+    option("--mode", OCTREE_MODES, "With a .voccel.xml: what its voxels are.  [default: solid]"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options(

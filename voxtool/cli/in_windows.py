@@ -41,7 +41,7 @@ def loaded(
 ) -> Octree:
     """Return the octree of a file with this name in memory, with these attributes; the others stay
     in the file."""
-    from voxtool.svo.merged import in_memory
+    from voxtool.svo.octree import in_memory
 
     with run.naming(name):
         return run.stage("read octree", in_memory, octree, run.max_memory, attributes)

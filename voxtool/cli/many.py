@@ -103,8 +103,8 @@ OPTIONS = (
         "processes of this machine.", metavar="ADDRESS|local"),
     option("--shard", SHARD,
         "Do only part I of N of the meshes: one command for each of N machines.", metavar="I/N"),
-    flag("--keep-folders", "Of many meshes: keep their folders, below the one that all have."),
-    flag("--fail-fast", "Of many meshes: stop at the first that fails."),
+    flag("--keep-folders", "With many meshes: keep their folders, below the one that all have."),
+    flag("--fail-fast", "With many meshes: stop at the first that fails."),
     click.option("--as-worker", is_flag=True, hidden=True, help="Read tasks from stdin."),
 )  # fmt: skip
 
@@ -172,6 +172,9 @@ class Many:
         if not self.values["overwrite"]:
             refuse_inputs([*(str(task.output) for task in tasks), *filter(None, [self.tar])])
         if self.tar and self.is_packed(self.tar):
+            if os.path.isdir(self.folder):  # a killed run had packed it
+                with Manifest(self.folder, self.shard) as manifest:
+                    manifest.remove(self.outputs[mesh] for mesh in self.meshes)
             self.counts["up to date"] = len(tasks)
             return self.summarize(None, time.perf_counter() - began)
         with Manifest(self.folder, self.shard) as manifest:

@@ -56,10 +56,10 @@ SHOWN = 20  # components in a report as text
     flag("--components",
         "Report the connected components, the largest first; -o writes their labels."),
     option("--neighbours", tuple(map(str, NEIGHBOURS)),
-        "Of components: connected across faces, or also across edges and corners.  "
+        "Components are connected across faces (6), also edges (18), or corners too (26).  "
         f"[default: {NEIGHBOURS[0]}]"),
     flag("--fill-cavities", "Set what the outside does not reach across faces."),
-    flag("--thin", "Of a surface: remove the voxels that it does not need to separate."),
+    flag("--thin", "Surfaces: remove voxels without which they still separate."),
     flag("--resample", "Resample to another grid, of --dim, --pitch, --bbox, --like or --lattice."),
     option("--threshold", float,
         "With --resample: the share of a voxel that is covered, at least, if it is set.  [default: "

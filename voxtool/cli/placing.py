@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import string
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import FITS
-from voxtool.cli.options import Parsed, numbers_of, option, together
+from voxtool.choices import FITS, LENGTH_UNITS
+from voxtool.cli.options import Parsed, numbers_of, option, positive_of, together
+from voxtool.errors import VoxtoolError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 OWN = ("origin", "shape", "spacing")  # options that give a grid by its own numbers
 FILES = ("like", "lattice")  # options that name a file with a grid
 BOX_WORDS = 6
+VOXELS = "vox"  # the unit of a length in voxels
 
 
 def shape_of(text: str) -> tuple[int, ...]:
@@ -51,7 +54,35 @@ class BoxOption(click.Option):
             taken.process = take
 
 
+def length_of(text: str) -> tuple[float, str]:
+    """Return a positive number and its unit: of LENGTH_UNITS, VOXELS, or "" for the world's."""
+    number = text.rstrip(string.ascii_letters)
+    unit = text[len(number) :]
+    if unit not in ("", VOXELS, *LENGTH_UNITS):
+        raise ValueError
+    return positive_of(number), unit
+
+
+def in_world(length: tuple[float, str], octree: OctreeContent) -> float:
+    """Return the length of an option in the world units of an octree."""
+    from voxtool.units import factor
+
+    number, unit = length
+    if unit == VOXELS:
+        return number * max(octree.grid.pitch)
+    if unit and not octree.units:
+        raise VoxtoolError(f"{number:g}{unit}: the octree names no unit: give world units")
+    return number * float(factor(unit, octree.units))
+
+
+LENGTH = Parsed("length", length_of, " is no length: write 0.01 (world units), 0.5vox or 2mm")
 POINT = Parsed("point", lambda text: numbers_of(text, 3), " is no point: write 0,1.5,-2")
+mesh_origin = option(
+    "--origin", POINT,
+    "Subtract this point from the vertices: .ply, .stl and .glb hold float32, which is too little "
+    "far from 0.",
+    metavar="X,Y,Z",
+)  # fmt: skip
 SHAPE = Parsed("shape", shape_of, " is no shape: write 256, or 256,256,128")
 SPACING = Parsed(
     "spacing",

@@ -120,7 +120,7 @@ OPTIONS_OF = {
         "alone, or within --transfer, --map or --opacity-range if one is given.",
         metavar="V[,V...]"),
     option("--iso-opacity opacity", click.FloatRange(0, 1, min_open=True),
-        "Of these surfaces.  [default: 1]", metavar="A"),
+        "Opacity of the surfaces of --isovalue.  [default: 1]", metavar="A"),
     option("--transfer transfer_file", str,
         "Volumes: the transfer function, control points of colour and extinction.",
         metavar="FILE.json"),
@@ -142,7 +142,7 @@ OPTIONS_OF = {
         "Volumes: draw the transfer function beside it.  Octrees: the names of their labels."),
     option("--background", BACKGROUND,
         "Colour behind it, or none: a transparent picture.  [default: white]", metavar="COLOUR"),
-    option("--bits", ("8", "16"), "Of each value in a .png.  [default: 8]"),
+    option("--bits", ("8", "16"), "Bits of each value in a .png.  [default: 8]"),
     flag("--float as_float",
         "Write .npy: (height, width, 4) float32, premultiplied red, green, blue and opacity."),
 )  # fmt: skip
@@ -235,7 +235,7 @@ def fitting(
     fit, with a warning, unless they are asked for."""
     from voxtool.svo.coarsen import fitting_octree
     from voxtool.svo.content import StoredAttributedOctree, StoredOctree
-    from voxtool.svo.merged import in_memory
+    from voxtool.svo.octree import in_memory
 
     if not isinstance(content, StoredOctree):
         return content, level
@@ -388,7 +388,7 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
     if "other" in given:
         from voxtool.files import open_svo
         from voxtool.svo.content import StoredOctree
-        from voxtool.svo.merged import in_memory
+        from voxtool.svo.octree import in_memory
 
         if source == given["other"] == "-":
             raise options.input_twice("FILE", "OTHER")

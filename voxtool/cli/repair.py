@@ -10,6 +10,7 @@ from voxtool.choices import DEFAULT_DIM, FILLS
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import COMPONENTS, DIM, POSITIVE, flag, option, together
+from voxtool.cli.placing import mesh_origin
 from voxtool.errors import CheckError, count_of
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ result_options = together(
         "Leave out triangles, as far as the surface moves by at most this distance in world units; "
         "with the package manifold3d.", metavar="LENGTH"),
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
+    mesh_origin,
     flag("--check",
         "Print the result's counts as JSON; exit with 1 if it is not closed and manifold, or if "
         "faces pass through others."),
@@ -96,7 +98,8 @@ def command(run: runner.Run, mesh: str, **request: Any) -> None:
 
 def execute(
     run: runner.Run, mesh: str, name: str, *, dim: int | None, tolerance: float | None,
-    normals: bool, check: bool, units: str | None, scale: float, **request: Any,
+    normals: bool, check: bool, units: str | None, scale: float,
+    origin: tuple[float, ...] | None, **request: Any,
 ) -> None:  # fmt: skip
     """Repair a mesh as requested, write the result, and report."""
     if dim is not None and tolerance is not None:
@@ -118,10 +121,12 @@ def execute(
         with run.naming(mesh):
             job = run.plan(plan_repair, loaded, grid_for(loaded, dim, tolerance), **given)
             result = run.job(job)
-        run.write(write_mesh, result.mesh(), normals=result.normals if normals else None)
+        own = result.normals if normals else None
+        run.write(write_mesh, result.mesh(), normals=own, origin=origin)
     near = "" if any(request.get(name) for name in WALLS) else f"; {farthest(result)}"
     run.report(
-        f"{report_line(result)}{near}, {run.size}", lambda: facts_of(result),
+        f"{report_line(result)}{near}, {run.size}",
+        lambda: facts_of(result) | ({"origin": list(origin)} if origin else {}),
         distance_lines(result), json_too=check,
     )  # fmt: skip
     if check and result.faults:

@@ -240,18 +240,24 @@ class Run:
             raise click.UsageError(message)
         from voxtool.files import companions
         from voxtool.files.mesh import load_mesh
-        from voxtool.mesh.joining import join
-        from voxtool.mesh.lengths import conversion
-        from voxtool.mesh.normalize import normalize as placed
 
         given = {"max_memory": self.max_memory, "units": units, "scale": scale, "keep": keep}
         with companions.noting() as beside:
             found = [self.stage("read mesh", load_mesh, name, **given) for name in names]
         if beside and not self.only_plan:
             self.refuse_inputs(beside)
-        mesh = found[0] if len(found) == 1 else self.stage("join meshes", join, found)
-        self.notes += filter(None, (conversion(one, mesh, found[0].name) for one in found))
-        return self.stage("normalize", placed, mesh, normalize) if normalize else mesh
+        mesh = found[0]
+        if len(found) > 1:
+            from voxtool.mesh.joining import join
+            from voxtool.mesh.lengths import conversion
+
+            mesh = self.stage("join meshes", join, found)
+            self.notes += filter(None, (conversion(one, mesh, found[0].name) for one in found))
+        if not normalize:
+            return mesh
+        from voxtool.mesh.normalize import normalize as placed
+
+        return self.stage("normalize", placed, mesh, normalize)
 
     @contextmanager
     def naming(self, name: str) -> Iterator[None]:
@@ -403,8 +409,8 @@ class Run:
     @cached_property
     def times(self) -> dict[str, float]:
         """Seconds by stage, in order: those of kernels and copies for what ran on the device, those
-        of the clock for the rest; "other" is the time that no stage has. Of one of many meshes, the
-        job is one stage, and all times are those of the clock."""
+        of the clock for the rest; "other" is the time that no stage has. For one of many meshes,
+        the job is one stage, and all times are those of the clock."""
         if self.item:
             return self._times
         on_device = self.device.stage_times() if "device" in self.__dict__ else {}

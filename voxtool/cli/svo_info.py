@@ -24,8 +24,8 @@ def command(file: str | None, *, dtd: bool, **asked: bool) -> None:
 
     Lengths and volumes are in the mesh's own units. The digest covers the content, not the
     container: it is the same for HDF5 and XML, on every device. The set digest is the same for
-    equal sets of voxels of one grid, whatever their mode, fill and refinement. Of merged subtrees
-    (voxtool svo-dag) all but the line "merged" is that of the octree that they stand for.
+    equal sets of voxels of one grid, whatever their mode, fill and refinement. For merged
+    subtrees (voxtool svo-dag) every line except "merged" describes the octree that they stand for.
 
     \b
     Examples:

@@ -62,7 +62,7 @@ def command(
     points = options.points_of(points, "OCTREE", octree, "name a file, or pipe them in")
     from voxtool.files import open_svo
     from voxtool.svo.content import StoredOctree
-    from voxtool.svo.merged import in_memory
+    from voxtool.svo.octree import in_memory
     from voxtool.svo.query import plan_query
 
     run.to_table(points, "voxels")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @together(
     option("--scalar", str, "Array at points, or else at cells.  [default: the only one there is]",
         metavar="NAME"),
-    option("--component", str, "Of an array of vectors: x, y, z, 0, 1, ... or magnitude.",
+    option("--component", str, "Component of an array of vectors: x, y, z, 0, 1, ... or magnitude.",
         metavar="C"),
     option("--layout", LAYOUTS,
         "Textures for ray casting, for cell projection, or for hexahedra that stay whole.",
@@ -91,6 +91,14 @@ def details(volume: TetVolume) -> list[str]:
     ]
 
 
+def _held(report: dict[str, Any]) -> str:
+    """Return what the tetrahedra held that are dropped as too flat."""
+    if "flat_scalars" not in report:
+        return ""
+    low, high = report["flat_scalars"]
+    return f" (of volume {report['flat_volume']:.3g}, scalars {low:.6g} to {high:.6g})"
+
+
 def changes(report: dict[str, Any]) -> list[str]:
     """Return phrases that count the cells that were changed or dropped."""
     counted = [
@@ -103,6 +111,6 @@ def changes(report: dict[str, Any]) -> list[str]:
             report["zero_volume"],
             f"of zero volume dropped ({report['coincident']:,} with coincident points)",
         ),
-        (report["flat"], "too flat or too small and dropped"),
+        (report["flat"], f"too flat or too small and dropped{_held(report)}"),
     ]
     return [f"{count:,} {done}" for count, done in counted if count] or ["none turned or dropped"]

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
         "solid: every voxel whose centre is inside; fraction: every voxel of which a part is "
         "inside, and how much of it.", DEFAULT_MODE),
     option("--fraction-type", FRACTION_TYPES,
-        "Of stored fractions: float32, or whole numbers of 16 or 8 bits.  "
+        "With --mode fraction: store float32, or whole numbers of 16 or 8 bits.  "
         f"[default: {FRACTION_TYPES[0]}]"),
     flag("--face-fractions",
         "With --mode fraction: also how much of each face of a voxel is inside (finite volumes)."),
@@ -74,8 +74,8 @@ if TYPE_CHECKING:
     options.length_options(),
     flag("--dag", "Store equal subtrees once (SVO 2.0): a tenth of the bytes, for large octrees. "
         "All commands read it."),
-    flag("--thin", "Of a surface: leave out the voxels that it does not need to separate "
-        "(N-minimal).  A surface with holes larger than a voxel separates nothing."),
+    flag("--thin", "With a surface mode: leave out voxels without which the surface still "
+        "separates (N-minimal).  A surface with holes larger than a voxel separates nothing."),
     option("--labels", LABELS,
         "Label each voxel with its part of the mesh (SVO 3.0): a group, material or object that "
         "the file names, a shell, or of several meshes the file.  They become one octree, which -o "
@@ -86,9 +86,9 @@ if TYPE_CHECKING:
         "before the others.  [default: first]",
         metavar="first|last|NAME,..."),
     option("--attributes", options.List(click.Choice(ATTRIBUTES)),
-        f"Of the voxels of the surface: {', '.join(ATTRIBUTES)} (SVO 3.0).  Colours are those of "
-        "the mesh's materials, textures and vertices.  Exposed voxels of solids that no triangle "
-        "touches have the colour and the normal of the nearest point of the surface.",
+        f"Attributes of the voxels of the surface: {', '.join(ATTRIBUTES)} (SVO 3.0).  Colours "
+        "are those of the mesh's materials, textures and vertices.  Exposed voxels of solids that "
+        "no triangle touches have the colour and the normal of the nearest point of the surface.",
         metavar="NAME,..."),
     option("--colour", COLOURS,
         "With --attributes colour: the mean by area, in linear light, or that of the greatest part "

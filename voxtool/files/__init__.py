@@ -334,9 +334,10 @@ def export(
         Of a field: cells along each axis of a grid over the field's cube.
     spacing : float or (3,) sequence of float, optional
         Of a field: size of a cell of that grid in world units; by default that of the finest
-        leaves, and at most 256 cells along a side. Of a level set one number, without that limit.
+        leaves, and at most 256 cells along a side. A level set takes one number, without that
+        limit.
     grid : Grid or path, optional
-        Of a field: the grid itself, or that of an octree or a file which read_voxels reads.
+        For a field: the grid itself, or that of an octree or a file which read_voxels reads.
     lattice : Grid or path, optional
         Of a field: a grid over the field's cube, with the voxels of this grid or file.
     leaves : bool
@@ -380,16 +381,22 @@ def export(
 
 
 def write_blocks(
-    surface: BlockSurface, path: PathLike, clobber: bool = True, format: str | None = None
+    surface: BlockSurface,
+    path: PathLike,
+    clobber: bool = True,
+    format: str | None = None,
+    origin: Sequence[float] | None = None,
 ) -> None:
-    """Write a surface that comes in blocks, as .ply.
+    """Write a surface that comes in blocks, as .ply, relative to an origin.
 
     Raises
     ------
     FileError
         If the file cannot be written, or is of another format.
     """
-    _write(surface, path, clobber, format, {"ply": MESH_FORMATS["ply"]})
+    from voxtool.files.mesh import relative_to
+
+    _write(relative_to(surface, origin), path, clobber, format, {"ply": MESH_FORMATS["ply"]})
 
 
 def write_mesh(
@@ -398,6 +405,7 @@ def write_mesh(
     clobber: bool = True,
     format: str | None = None,
     normals: np.ndarray | None = None,
+    origin: Sequence[float] | None = None,
 ) -> None:
     """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off; the
     meshes of labels as .obj, .glb or .3mf. Colours of vertices are written to .obj, .ply and .glb.
@@ -414,6 +422,8 @@ def write_mesh(
         "obj", "ply", "stl", "glb" or "off"; by default what the name says.
     normals : (V, 3) float64, optional
         Unit vectors, one for each vertex, for .obj, .ply and .glb.
+    origin : (3,) float, optional
+        A point that is subtracted from the vertices, so that meshes far from 0 fit float32.
 
     Raises
     ------
@@ -425,11 +435,11 @@ def write_mesh(
     MemoryLimitError
         If the text does not fit in memory.
     """
-    from voxtool.files.mesh import as_mesh
-    from voxtool.svo.surface.isosurface import Isosurface
-    from voxtool.svo.surface.labelled import LabelledSurface
+    if origin is not None:
+        from voxtool.files.mesh import relative_to
 
-    of_parts = isinstance(mesh, LabelledSurface)
+        mesh = relative_to(mesh, origin)
+    of_parts = hasattr(mesh, "sides")  # a LabelledSurface
     format = format or format_of(path, MESH_FORMATS | (PART_FORMATS if of_parts else {}))
     if of_parts:
         if normals is not None:
@@ -443,10 +453,14 @@ def write_mesh(
         raise FileError(
             f".{format} holds no vertex normals: write one of {held}, or leave them out"
         )
-    if isinstance(mesh, Isosurface):
-        mesh, origin = mesh.coloured() if format in COLOUR_FORMATS else (mesh.mesh(), ...)
-        normals = None if normals is None else normals[origin]
-    _write(as_mesh(mesh), path, clobber, format, MESH_FORMATS, normals=normals)
+    if hasattr(mesh, "coloured"):  # an Isosurface
+        mesh, of = mesh.coloured() if format in COLOUR_FORMATS else (mesh.mesh(), ...)
+        normals = None if normals is None else normals[of]
+    if not hasattr(mesh, "source_sha256"):  # no Mesh yet
+        from voxtool.files.mesh import as_mesh
+
+        mesh = as_mesh(mesh)
+    _write(mesh, path, clobber, format, MESH_FORMATS, normals=normals)
 
 
 def write_wall_links(
@@ -482,11 +496,9 @@ def check_holds_parts(format: str) -> None:
 
 def _read(path: PathLike, kind: Kind) -> Any:
     """The content of a file, as the reader for its format returns it; merged octrees expanded."""
-    from voxtool.svo.merged import MergedOctree
-
     with ExitStack() as stack:
         content = _read_open(path, kind, stack)
-    if not isinstance(content, MergedOctree):
+    if not hasattr(content, "expanded"):  # a MergedOctree
         return content
     with _naming(streams.input_name(path)):
         return content.expanded()

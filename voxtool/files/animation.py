@@ -26,8 +26,8 @@ LONGEST = {"gif": 65_535, "webp": 16_383, "mp4": 16_384}  # pixels along a side
 MOST = 50  # frames a second: players slow down what is faster
 QUALITY = 92  # of WebP, of 100
 ENCODER = "libx264"
-# Of x264: the constant rate factor, at which no loss is seen but that of 4:2:0. Its bytes depend on
-# the number of threads.
+# Options of x264: the constant rate factor, at which no loss is seen but that of 4:2:0. Its bytes
+# depend on the number of threads.
 ENCODING = {"crf": "17", "preset": "medium", "threads": "1"}
 
 

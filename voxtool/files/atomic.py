@@ -152,19 +152,24 @@ def atomic_folder(target: str | os.PathLike[str], clobber: bool = True) -> Itera
 
 def _check_replaced(target: Path) -> None:
     """Raise FileError if a folder cannot take the place of what is there. Another run may replace
-    it at the same time, so each look is one call."""
-    try:
-        held = os.listdir(target)
-    except FileNotFoundError:
-        held = []
-    except NotADirectoryError:
-        raise FileError(
-            f"cannot write {target}: it is a file, and a folder is to be written"
-        ) from None
-    if held and MARK not in held:
-        raise FileError(
-            f"cannot write {target}: the folder holds files that no export wrote: name another"
-        )
+    it at the same time, and remove the old one while its names are read: then look again."""
+    while True:
+        try:
+            before = target.stat()
+            held = os.listdir(target)
+            if not held or MARK in held:
+                return
+            if os.path.samestat(before, target.stat()):
+                break
+        except FileNotFoundError:
+            return
+        except NotADirectoryError:
+            raise FileError(
+                f"cannot write {target}: it is a file, and a folder is to be written"
+            ) from None
+    raise FileError(
+        f"cannot write {target}: the folder holds files that no export wrote: name another"
+    )
 
 
 def _replace_folder(made: Path, target: Path) -> None:
@@ -276,24 +281,41 @@ def _create_beside(folder: Path, name: str) -> Path:
 def _name_beside(folder: Path, name: str) -> Path:
     """The name, after this machine and process, of a new file or folder that becomes `name`; what
     processes that have died left there for it is removed."""
-    stem = f".{name[:40]}.{machine()}-"
+    stem = _stem(name)
     _sweep(folder, stem)
     return folder / f"{stem}{os.getpid()}-{os.urandom(8).hex()}.tmp"
+
+
+def remove_with_temporaries(target: Path) -> None:
+    """Remove a file, and what processes of this machine have begun for it, which fail then."""
+    target.unlink(missing_ok=True)
+    for name, _ in _begun(target.parent, _stem(target.name)):
+        _remove(target.parent / name)
 
 
 def _sweep(folder: Path, stem: str) -> None:
     if os.name == "nt":  # os.kill would end the process there
         return
+    for name, process in _begun(folder, stem):
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            _remove(folder / name)
+        except (OSError, OverflowError):  # it is another user's
+            continue
+
+
+def _stem(name: str) -> str:
+    return f".{name[:40]}.{machine()}-"
+
+
+def _begun(folder: Path, stem: str) -> Iterator[tuple[str, int]]:
+    """Yield the names that processes of this machine made for an output, and the processes."""
     with suppress(OSError):
         for name in os.listdir(folder):
             process = name.removeprefix(stem).split("-")[0]
             if name.startswith(stem) and name.endswith(".tmp") and process.isdecimal():
-                try:
-                    os.kill(int(process), 0)
-                except ProcessLookupError:
-                    _remove(folder / name)
-                except (OSError, OverflowError):  # it is another user's
-                    continue
+                yield name, int(process)
 
 
 def written() -> int:

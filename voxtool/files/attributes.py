@@ -1,4 +1,4 @@
-"""Which attributes of voxels an export holds."""
+"""The attributes of voxels that an export holds."""
 
 from __future__ import annotations
 

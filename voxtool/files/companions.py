@@ -32,7 +32,7 @@ def noting() -> Iterator[list[str]]:
 
 
 class Companions:
-    """What a mesh names and may be read.
+    """The files that a mesh names and that may be read.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ from voxtool.files.formats import (
 from voxtool.files.lattices import unit_checked
 from voxtool.files.streams import PathLike
 from voxtool.files.vtkhdf_volume import VolumeCells
-from voxtool.grid import Grid
+from voxtool.grid import Grid, check_single
 from voxtool.job import Cost, Job
 from voxtool.memory import available_memory, check_disk
 from voxtool.opencl import Device
@@ -356,7 +356,7 @@ def image_of(
     if format.levels:
         if not (shape is grid is None) or np.ndim(spacing):
             raise VoxtoolError(f".{name} holds a level set: choose it by a band and one spacing")
-        return LevelSet.of(source, band, spacing)
+        return in_single(source, name, LevelSet.of(source, band, spacing))
     if not format.dense:
         names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.levels or each.dense)
         raise VoxtoolError(f".{name} holds no distance field: choose {names}")
@@ -364,4 +364,15 @@ def image_of(
         raise VoxtoolError(f".{name} holds all samples of a grid: a band goes with level sets")
     if grid is not None and not (shape is spacing is None):
         raise VoxtoolError("a grid has its own shape and spacing: leave them out")
-    return FieldSamples(source, grid or grid_over(source, shape, spacing))
+    return in_single(source, name, FieldSamples(source, grid or grid_over(source, shape, spacing)))
+
+
+def in_single(
+    source: DistanceField, name: str, image: LevelSet | FieldSamples
+) -> LevelSet | FieldSamples:
+    """Return the samples of a field; GridError if float32 does not hold its distances there."""
+    low = np.array(image.origin)
+    high = low + np.array(image.shape) * image.pitch
+    far = abs(low - source.origin).sum() + abs(high - low).sum() + 2 * source.side
+    check_single(f".{name}", image.pitch, [*low, *high, far], "scale the mesh")
+    return image

@@ -313,7 +313,7 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
     if opening.startswith(HDF5):
         from voxtool.files import hdf5
 
-        schemas = [import_module(f"voxtool.files.{module}").SCHEMA for module in kind.hdf5]
+        schemas = (import_module(f"voxtool.files.{module}").SCHEMA for module in kind.hdf5)
         return partial(hdf5.read_slices if kind.sliced else hdf5.read, schemas)
     lower = name.lower()
     if lower.endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS):

@@ -52,7 +52,7 @@ def write_nodes(nodes: Iterable[Node], file: BinaryIO, limit: int = BYTES) -> No
         blocks.append(array)
         size += array.nbytes
         if size > limit:
-            raise FileError("GLB holds 4 GiB at most and these meshes have more: write .obj")
+            raise FileError("GLB holds 4 GiB at most: write .ply, or .obj of several meshes")
         return len(accessors) - 1
 
     meshes, materials = [], []

@@ -22,7 +22,7 @@ from voxtool.limits import bounded_memory
 from voxtool.memory import check_memory
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
 # Bytes of memory that a file may take beside its data. HDF5 follows a damaged list of free places
 # that leads back to its start for ever, and takes memory at each step.
@@ -67,7 +67,7 @@ def _write_attribute(h5: Any, attribute: Attribute, value: Any) -> None:
     h5.attrs.create(attribute.name, value, dtype=dtype)
 
 
-def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
+def read(schemas: Iterable[Schema], file: BinaryIO, size: int) -> Any:
     """The content of a file of `size` bytes, whose format is one of the schemas.
 
     Raises
@@ -75,18 +75,21 @@ def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
     FileError : the file is damaged, hostile or of another format.
     """
     with _one_line(), opened(file) as h5:
-        schema, stored, found = _content(h5, schemas, size)
-        needed = sum(array.dtype.itemsize * math.prod(array.shape) for array in found.values())
-        check_memory(needed, "its datasets", "choose a smaller file")
-        return schema.decode(stored, {name: load(array) for name, array in found.items()})
+        return _in_memory(*_content(h5, schemas, size))
 
 
-def read_slices(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
+def _in_memory(schema: Schema, stored: dict[str, Any], found: dict[str, Any]) -> Any:
+    needed = sum(array.dtype.itemsize * math.prod(array.shape) for array in found.values())
+    check_memory(needed, "its datasets", "choose a smaller file")
+    return schema.decode(stored, {name: load(array) for name, array in found.items()})
+
+
+def read_slices(schemas: Iterable[Schema], file: BinaryIO, size: int) -> Any:
     """The same content; the datasets of a sliced schema are Slices of the file while it is open."""
     with _one_line():
         schema, stored, found = _content(opened(file), schemas, size)
         if not schema.sliced:
-            return read(schemas, file, size)
+            return _in_memory(schema, stored, found)
         return schema.decode(stored, {name: _slices(array) for name, array in found.items()})
 
 
@@ -119,7 +122,7 @@ def _one_line() -> Iterator[None]:
 
 
 def _content(
-    h5: Any, schemas: Sequence[Schema], size: int
+    h5: Any, schemas: Iterable[Schema], size: int
 ) -> tuple[Schema, dict[str, Any], dict[str, Any]]:
     """The schema of a file, its checked attributes, and its checked datasets."""
     with bounded_memory(METADATA):
@@ -133,20 +136,22 @@ def opened(file: BinaryIO) -> Any:
         return h5py.File(file, "r")
 
 
-def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
-    """The schema of the file's format and major version."""
-    what = " or ".join(schema.what for schema in schemas)
-    names = " or ".join(schema.format for schema in schemas)
-    if not h5py.h5a.exists(h5.id, b"format"):
-        if h5.id.links.exists(b"VTKHDF"):
-            raise FileError("holds data of VTK: voxtool import makes an octree of its voxels")
-        raise FileError(f"an HDF5 file, but no {what}: attribute format={names} is missing")
-    format = read_attribute(h5, FORMAT)
+def _schema_of(h5: Any, schemas: Iterable[Schema]) -> Schema:
+    """The schema of the file's format and major version; those behind it are not asked for."""
+    missing = not h5py.h5a.exists(h5.id, b"format")
+    if missing and h5.id.links.exists(b"VTKHDF"):
+        raise FileError("holds data of VTK: voxtool import makes an octree of its voxels")
+    format, others = None if missing else read_attribute(h5, FORMAT), []
     for schema in schemas:
         if schema.format == format:
             return schema.of_version(read_attribute(h5, FORMAT_VERSION))
+        others.append(schema)
+    what = " or ".join(schema.what for schema in others)
+    names = " or ".join(schema.format for schema in others)
+    if missing:
+        raise FileError(f"an HDF5 file, but no {what}: attribute format={names} is missing")
     article = "an" if what[0] in "aeiou" else "a"
-    raise FileError(f"holds {format!r}, not {article} {what} ({names!r}): {schemas[0].hint}")
+    raise FileError(f"holds {format!r}, not {article} {what} ({names!r}): {others[0].hint}")
 
 
 def _checked(schema: Schema, h5: Any, size: int) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from voxtool.claims import OWNER, Claim
 from voxtool.errors import FileError
-from voxtool.files.atomic import alone, atomic_path, write_error
+from voxtool.files.atomic import alone, atomic_path, remove_with_temporaries, write_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -100,10 +100,11 @@ class Manifest:
                 self.path.parent.rmdir()
 
     def remove(self, outputs: Iterable[str]) -> None:
-        """Remove outputs, the file, and the folders of both as far as nothing else is there."""
+        """Remove outputs, what is left of killed runs of them, the file, and the folders of all as
+        far as nothing else is there."""
         top, folders = self.path.parent, set[Path]()
         for output in map(Path, outputs):
-            output.unlink(missing_ok=True)
+            remove_with_temporaries(output)
             folders |= {above for above in output.parents if above.is_relative_to(top)}
         self.path.unlink(missing_ok=True)
         self._owned.close()

@@ -11,13 +11,14 @@ import re
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import replace
+from importlib import import_module
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from voxtool.choices import LENGTH_UNITS
 from voxtool.errors import MeshError, one_line, printable
-from voxtool.files import obj, off, ply, stl
 from voxtool.files.companions import Companions
 from voxtool.files.formats import GZIP, HDF5, ZIP
 from voxtool.files.placement import Read
@@ -26,10 +27,11 @@ from voxtool.memory import available_memory
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf", "3mf")
+PLY, GLB = (b"ply\n", b"ply\r"), b"glTF"  # how they begin
 KEPT = ("parts", "appearance")
 MAX_BYTES = 8 << 30  # of one file, unpacked
-# A .gz or .3mf may unpack to this many times its size, and some bytes more. Of a plane of equal
-# triangles, ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
+# A .gz or .3mf may unpack to this many times its size, and some bytes more. A plane of equal
+# triangles as ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
 MOST_PACKED, ANY_SIZE = 100, 1 << 24
 
 
@@ -165,11 +167,15 @@ def _parsed(
 
         return threemf.parse(name, data, most_unpacked(data, limit), max_memory, keep)
     if kind == "obj":
+        from voxtool.files import obj
+
         _refuse_binary(name, data)
         return obj.parse(name, data, keep, companions, max_memory)
     if kind == "ply":
+        from voxtool.files import ply
+
         return ply.parse(name, data, keep)
-    return Read(*(stl if kind == "stl" else off).parse(name, data))
+    return Read(*import_module(f"voxtool.files.{kind}").parse(name, data))  # STL and OFF
 
 
 # --- bytes ---------------------------------------------------------------------------------------
@@ -236,8 +242,8 @@ def _refuse_other_files(name: str, data: bytes) -> None:
 
 
 def _refuse_binary(name: str, data: bytes) -> None:
-    found = _kind_of_content(data)
-    if b"\0" in data[: 1 << 20] or found in ("ply", "glb"):
+    if b"\0" in data[: 1 << 20] or data.startswith((*PLY, GLB)):
+        found = _kind_of_content(data)
         hint = "export it as text" if found == "obj" else f"it looks like .{found}, rename it"
         raise MeshError(f"{name}: this is no text, so not an OBJ: {hint}")
 
@@ -256,9 +262,9 @@ def _kind_of_name(name: str, file_type: str | None, has_name: bool) -> str:
 
 
 def _kind_of_content(data: bytes) -> str:
-    if data.startswith((b"ply\n", b"ply\r")):
+    if data.startswith(PLY):
         return "ply"
-    if data.startswith(b"glTF"):
+    if data.startswith(GLB):
         return "glb"
     if data.startswith(ZIP):
         return "3mf"
@@ -266,6 +272,20 @@ def _kind_of_content(data: bytes) -> str:
         return "off"
     if data.lstrip().startswith(b"{"):
         return "gltf"
+    from voxtool.files import stl
+
     if stl.binary_size(data) == len(data) or re.match(rb"\s*solid\b", data):
         return "stl"
     return "obj"
+
+
+def relative_to(surface: Any, origin: Sequence[float] | None) -> Any:
+    """Return a mesh, or the result of `extract`, with a point subtracted from its vertices."""
+    if origin is None:
+        return surface
+    if hasattr(surface, "grid"):  # before vertices are rounded
+        grid = surface.grid
+        low = tuple(float(a - b) for a, b in zip(grid.origin, origin, strict=True))
+        return replace(surface, grid=replace(grid, origin=low))
+    mesh = as_mesh(surface)
+    return replace(mesh, vertices=mesh.vertices - np.asarray(origin, np.float64))

@@ -1,23 +1,19 @@
-"""Triangle meshes as OBJ and OFF, which are text, and through trimesh as PLY, STL and GLB.
+"""Triangle meshes as OBJ and OFF, which are text, and as PLY, STL and GLB.
 
 Nothing is welded or moved; materials and textures are not written. Numbers of text are read back
 bit for bit. PLY, STL and GLB hold float32, 1 part in 1.6e7 of a coordinate; a mesh is refused if
 that moves vertices by more than a thousandth of its longest side. STL repeats the corners of every
-face. The unit of GLB is the metre. The bytes depend only on the mesh and the version of trimesh:
-face normals and unit vectors, which trimesh computes through BLAS, are computed here or left out.
+face. The unit of GLB is the metre. The bytes depend only on the mesh; of PLY and STL they are those
+that trimesh writes, whose import takes longer than most meshes.
 """
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import IO, TYPE_CHECKING, Any, BinaryIO
+from typing import IO, TYPE_CHECKING, BinaryIO
 
 import numpy as np
-import trimesh
-from trimesh.exchange.stl import export_stl
 
 from voxtool.errors import FileError, MeshError
-from voxtool.files.glb import BYTES, Node, write_nodes
 from voxtool.mesh import srgb
 from voxtool.vector import cross, length
 from voxtool.version import __version__
@@ -33,13 +29,16 @@ PLY_HEADER = """ply
 format binary_little_endian 1.0
 comment https://github.com/mikedh/trimesh
 element vertex {}
-property float x
-property float y
-property float z
-element face {}
+{}element face {}
 property list uchar int vertex_indices
 end_header
 """
+PLY_VERTEX = [(name, "<f4") for name in "xyz"]
+PLY_NORMAL = [(name, "<f4") for name in ("nx", "ny", "nz")]
+PLY_COLOUR = [(name, "u1") for name in ("red", "green", "blue", "alpha")]
+PLY_TYPES = {"<f4": "float", "u1": "uchar"}
+STL_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
+STL_HEAD = 80  # bytes before the number of faces
 PLY_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 LEAST_CELLS = 1000  # float32 must resolve the longest side divided by this
 
@@ -79,34 +78,49 @@ def write_lines(file: IO[bytes], line: str, rows: np.ndarray) -> None:
 def write_ply(mesh: Mesh | BlockSurface, file: BinaryIO, normals: np.ndarray | None = None) -> None:
     """Write binary PLY: float32 coordinates and normals, int32 indices, and colours of vertices as
     bytes of sRGB and opacity."""
-    from voxtool.svo.surface.blocks import BlockSurface
+    from voxtool.mesh.mesh import Mesh
 
-    if isinstance(mesh, BlockSurface):
+    if not isinstance(mesh, Mesh):
         _write_ply_blocks(mesh, file)
         return
-    given = _given(mesh, normals)
+    normals = _checked(mesh, normals)
     check_float32(mesh, "PLY")
-    # without vertices, trimesh would compute normals
-    with_normals = normals is not None and len(mesh.vertices) > 0
-    file.write(given.export(file_type="ply", vertex_normal=with_normals))
+    columns, parts = [*PLY_VERTEX], [mesh.vertices]
+    if normals is not None and len(normals):
+        columns, parts = [*columns, *PLY_NORMAL], [*parts, normals]
+    if mesh.colours is not None:
+        columns, parts = [*columns, *PLY_COLOUR], [*parts, _levels(mesh.colours)]
+    rows = np.empty(len(mesh.vertices), columns)
+    for (name, _), values in zip(columns, np.concatenate([part.T for part in parts]), strict=True):
+        rows[name] = values
+    file.write(_ply_header(len(rows), len(mesh.faces), columns))
+    file.write(rows.data)
+    file.write(_ply_faces(mesh.faces).data)
+
+
+def _ply_header(vertices: int, faces: int, columns: list[tuple[str, str]]) -> bytes:
+    properties = "".join(f"property {PLY_TYPES[kind]} {name}\n" for name, kind in columns)
+    return PLY_HEADER.format(vertices, properties, faces).encode()
+
+
+def _ply_faces(faces: np.ndarray) -> np.ndarray:
+    rows = np.empty(len(faces), PLY_FACE)
+    rows["count"], rows["corners"] = 3, faces
+    return rows
 
 
 def _write_ply_blocks(mesh: BlockSurface, file: BinaryIO) -> None:
-    """Write the PLY of a mesh whose vertices and faces come in blocks, as trimesh does."""
+    """Write the same PLY of a mesh whose vertices and faces come in blocks."""
     moved, low, high = 0.0, np.full(3, np.inf), np.full(3, -np.inf)
     for block in filter(len, mesh.vertices.blocks):
         moved = max(moved, np.abs(block.astype("<f4") - block).max())
         low, high = np.minimum(low, block.min(axis=0)), np.maximum(high, block.max(axis=0))
     _check_moved(moved, (high - low).max(), "PLY")
-    vertices, faces = mesh.vertices, mesh.faces
-    header = PLY_HEADER.format(len(vertices), len(faces))
-    file.write(header.encode())
-    for block in vertices.blocks:
+    file.write(_ply_header(len(mesh.vertices), len(mesh.faces), PLY_VERTEX))
+    for block in mesh.vertices.blocks:
         file.write(block.astype("<f4").data)
-    for block in faces.blocks:
-        rows = np.empty(len(block), PLY_FACE)
-        rows["count"], rows["corners"] = 3, block
-        file.write(rows.data)
+    for block in mesh.faces.blocks:
+        file.write(_ply_faces(block).data)
 
 
 def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
@@ -114,42 +128,26 @@ def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
     _check_finite(mesh, mesh.vertices, BAD_VERTEX)
     check_float32(mesh, "STL")
     triangles = mesh.vertices[mesh.faces]
-    normal = _face_normals(triangles)
-    content = SimpleNamespace(faces=mesh.faces, triangles=triangles, face_normals=normal)
-    file.write(export_stl(content))
+    rows = np.zeros(len(triangles), STL_FACE)
+    rows["normal"], rows["corners"] = _face_normals(triangles), triangles
+    file.write(bytes(STL_HEAD) + len(rows).to_bytes(4, "little"))
+    file.write(rows.data)
 
 
 def write_glb(
-    mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, limit: int = BYTES
+    mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, limit: int | None = None
 ) -> None:
     """Write binary glTF 2.0: float32 coordinates and normals, uint32 indices, at most `limit`
-    bytes."""
-    given = _given(mesh, normals)
-    check_float32(mesh, "GLB")
-    coloured = mesh.colours is not None
-    vertex_bytes = 12 + 12 * (normals is not None) + 16 * coloured
-    if 12 * len(mesh.faces) + vertex_bytes * len(mesh.vertices) > limit:
-        raise FileError("GLB holds 4 GiB at most and this mesh has more: write .ply")
-    if coloured and len(mesh.faces):  # trimesh writes them as bytes of sRGB
-        write_nodes([Node(mesh.name or "mesh", mesh, normals)], file, limit)
-        return
-    file.write(
-        given.export(file_type="glb", include_normals=normals is not None, unitize_normals=False)
-    )
+    bytes, by default what GLB holds."""
+    from voxtool.files.glb import BYTES, Node, write_nodes
 
-
-# ---- input of trimesh
-
-
-def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
-    """Return a trimesh.Trimesh of the mesh, with its normals and colours."""
     normals = _checked(mesh, normals)
-    if normals is not None and not len(normals):
-        normals = None  # trimesh fails on an empty array
-    colours = None if mesh.colours is None else _levels(mesh.colours)
-    return trimesh.Trimesh(
-        mesh.vertices, mesh.faces, vertex_normals=normals, vertex_colors=colours, process=False
-    )
+    check_float32(mesh, "GLB")
+    nodes = [Node(mesh.name or "mesh", mesh, normals)] if len(mesh.faces) else []
+    write_nodes(nodes, file, limit or BYTES)
+
+
+# ---- what is written
 
 
 def _checked(mesh: Mesh, normals: np.ndarray | None) -> np.ndarray | None:
@@ -208,5 +206,5 @@ def _check_moved(moved: float, side: float, kind: str) -> None:
     if moved == np.inf or moved * LEAST_CELLS > side:
         raise FileError(
             f"{kind} holds float32, which would move vertices by {moved:.3g} where the mesh is "
-            f"{side:.3g} long: write .obj or .off"
+            f"{side:.3g} long: write .obj or .off, or relative to a point of it (see --origin)"
         )

@@ -35,6 +35,7 @@ from voxtool.files.voxels import (
     grid_text,
     names_text,
 )
+from voxtool.grid import check_single
 
 HEADER = 1024  # bytes before the array, at most
 MOST_SIDE = 32767  # int16
@@ -108,6 +109,7 @@ def _header(image: Dense) -> Any:
         header.set_intent(LABEL if names else VECTOR)
     affine = np.diag([*image.pitch, 1.0])
     affine[:3, 3] = np.add(image.origin, np.array(image.pitch) / 2)
+    check_single("the head of .nii", image.pitch, affine, "write .nrrd")
     header.set_sform(affine, "scanner")
     header.set_qform(affine, "scanner")
     header.set_xyzt_units(UNITS.get(image.units, "unknown"))

@@ -5,8 +5,8 @@ values : (N,), where the image is not one of bool. transform : (4,) float64, sca
 normalized mesh. Attributes of the set cells: label : (N,), colour : (N, 4), normal : (N, 3),
 fraction : (N,), faces : (N, 6), and label_names, the names by number. Voxel (i, j, k) has its low
 corner at origin + pitch (i, j, k). The samples of a field are a dense array `distance` instead of
-the list, labels an array `label`. Of other programs, an array of three axes is read, dense; without
-a grid beside it, it has no place.
+the list, labels an array `label`. From other programs an array of three axes is read, dense;
+without a grid beside it, it has no place.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from voxtool.errors import FileError, VoxtoolError
+from voxtool.errors import VoxtoolError
 from voxtool.files import vdb
 from voxtool.files.vdb_attributes import AttributeGrid
 from voxtool.files.vdb_encode import (
@@ -35,6 +35,7 @@ from voxtool.files.vdb_encode import (
     tiles_of,
     upper_corners,
 )
+from voxtool.grid import check_single
 from voxtool.svo.attribute_image import attributes_of
 from voxtool.svo.image import VoxelImage
 
@@ -214,8 +215,7 @@ def _write_head(content: Content, file: BinaryIO, total: int, place: tuple[int, 
     # the map: matrix, its inverse, translation, taper
     parts = [np.diag(pitch).ravel(), np.diag(1 / pitch).ravel(), content.middle, [1.0]]
     numbers = np.concatenate(parts)
-    if np.abs(numbers).max() > np.finfo("f4").max:
-        raise FileError(".nvdb holds sizes and places in float32, which these exceed: write .vdb")
+    check_single(".nvdb", pitch, numbers, "write .vdb")
     for dtype in ("<f4", "<f8"):
         file.write(numbers.astype(dtype).tobytes())
     file.write(_world(content) + pitch.astype("<f8").tobytes())

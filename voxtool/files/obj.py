@@ -33,13 +33,13 @@ from voxtool.files.numbers import (
     fans,
     numbers_in,
 )
-from voxtool.files.obj_look import Statements, described, name_of, text_of
 from voxtool.files.placement import Read
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.files.companions import Companions
+    from voxtool.files.obj_look import Statements
 
 CORNER_LETTERS = b"0123456789+-/ \t\r\n"
 SLASH = ord("/")
@@ -65,6 +65,8 @@ def parse(
         vertices, faces, statements = _by_line(name, data, bool(keep))
     if statements is None:
         return Read(vertices, faces)
+    from voxtool.files.obj_look import described
+
     return described(vertices, faces, statements, keep, companions, max_memory)
 
 
@@ -109,6 +111,8 @@ def _quick(
 
 def _said(blocks: list[_Block]) -> Statements:
     """Return what is said of the mesh of all blocks; raise OddityError for a wrong index."""
+    from voxtool.files.obj_look import Statements
+
     begun, corners, known, faces = [], [np.empty((0, 3), np.int64)], 0, 0
     for block in blocks:
         begun += [(face + faces, one, words) for face, one, words in block.begun]
@@ -202,6 +206,8 @@ def _statement(row: bytes) -> tuple[str, str] | None:
     if not words or words[0] not in (b"g", b"o", b"usemtl", b"mtllib"):
         return None
     rest = words[1] if len(words) > 1 else b""
+    from voxtool.files.obj_look import name_of, text_of
+
     if words[0] == b"mtllib":
         return "mtllib", text_of(rest)
     return words[0].decode(), " ".join(name_of(rest).split())
@@ -322,6 +328,8 @@ def _by_line(
         raise MeshError(f"{name}, line {line}: {error}") from None
     statements = None
     if describe:
+        from voxtool.files.obj_look import Statements
+
         coloured = len(colours) == len(points) > 0
         statements = Statements(
             begun, np.array(uv).reshape(-1, 2), np.array(uv_faces).reshape(-1, 3),

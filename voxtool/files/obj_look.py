@@ -1,4 +1,4 @@
-"""What the statements of an OBJ and its material libraries say: parts, materials, textures."""
+"""Parts, materials and textures, from the statements of an OBJ and its material libraries."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WORD_OPTIONS = ("-blendu", "-blendv", "-cc", "-clamp", "-texres", "-bm", "-imfch
 
 
 class Statements(NamedTuple):
-    """What an OBJ holds beside vertices and faces."""
+    """The statements of an OBJ beside vertices and faces."""
 
     begun: list[tuple[int, str, str]]  # the face from which on it holds, the statement, its words
     uv: np.ndarray  # (T, 2) float64: the file's texture coordinates

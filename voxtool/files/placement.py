@@ -18,7 +18,7 @@ DEEPEST = 64  # nodes inside nodes of a scene
 
 
 class Read(NamedTuple):
-    """What a file holds."""
+    """The content of a file of meshes."""
 
     vertices: np.ndarray  # (V, 3) float64
     faces: np.ndarray  # (F, 3) int64

@@ -23,9 +23,9 @@ def unpacked(numbers: np.ndarray) -> np.ndarray:
 def palette_of(colours: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a palette, (P, 4) uint8 of at most MOST colours, and the place in it of each colour.
 
-    Up to MOST colours are the palette themselves. Of more, the box of colours with the greatest
-    product of count and squared range is divided at the median along its widest channel, until
-    there are MOST; each takes its mean, in linear light.
+    Up to MOST colours are the palette themselves. If there are more, the box of colours with the
+    greatest product of count and squared range is divided at the median along its widest channel,
+    until there are MOST; each takes its mean, in linear light.
 
     Parameters
     ----------

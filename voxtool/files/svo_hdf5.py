@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import fields
 from types import SimpleNamespace
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -35,8 +35,10 @@ from voxtool.svo.attributes import KINDS
 from voxtool.svo.attributes import Attribute as VoxelAttribute
 from voxtool.svo.content import StoredAttributedOctree, StoredOctree
 from voxtool.svo.layout import NODE
-from voxtool.svo.merged import MergedOctree, unpack_links
 from voxtool.svo.octree import Octree
+
+if TYPE_CHECKING:
+    from voxtool.svo.merged import MergedOctree
 
 RULE_NAME = Rule(  # any name will do: it changes nothing here
     lambda text: re.fullmatch(r"[a-z][a-z0-9+-]*", text), "is {value!r}, which names no rule"
@@ -85,6 +87,8 @@ def _build_merged(values: dict[str, Any], arrays: dict[str, Any]) -> MergedOctre
     if isinstance(arrays["masks"], Slices):
         check_memory(sum(len(a) * 8 for a in arrays.values()), "its datasets")
         arrays = {name: array[:] for name, array in arrays.items()}
+    from voxtool.svo.merged import MergedOctree, unpack_links
+
     arrays["links"] = unpack_links(arrays.pop("links"), arrays)
     return MergedOctree(**arrays, **_content_of(values))
 
@@ -120,7 +124,7 @@ MERGED = Schema(
 
 
 def _head_of(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """What a file says of each attribute, checked; FileError if it is not sound."""
+    """The description of each attribute in a file, checked; FileError if it is not sound."""
     heads = ATTRIBUTES.decode(stored["attributes"])
     for name, head in heads.items():
         if name not in KINDS or not isinstance(head, dict) or set(head) != HEAD:
@@ -248,9 +252,9 @@ SCHEMA = Schema(
 )
 
 
-def write(octree: Octree | MergedOctree, file: BinaryIO) -> None:
+def write(octree: Any, file: BinaryIO) -> None:
     """Write an octree; a merged one as version 2, one with attributes as version 3."""
-    if isinstance(octree, MergedOctree):
+    if hasattr(octree, "root"):  # a MergedOctree
         hdf5.write(MERGED, octree, file)
     elif octree.attributes:
         hdf5.write(ATTRIBUTED, _flat(octree), file)

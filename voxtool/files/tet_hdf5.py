@@ -59,7 +59,8 @@ def _floats(sizes: Sizes) -> int:
 
 
 def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> TetVolume:
-    return TetVolume(anchors=arrays.pop("anchors", None), **arrays, **values)
+    optional = {name: arrays.pop(name, None) for name in ("anchors", "heights")}
+    return TetVolume(**optional, **arrays, **values)
 
 
 OWN = (
@@ -124,7 +125,7 @@ def _unpack(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> TetVolume:
     count = values["cell_count"]
     arrays["vertices"] = unpack_rows(arrays["vertices"], values["vertex_count"])
     arrays["ranges"] = unpack_rows(arrays["ranges"], _blocks(values))
-    for name in arrays.keys() & {"normals", "gradients", "anchors"}:
+    for name in arrays.keys() & {"normals", "gradients", "anchors", "heights"}:
         arrays[name] = unpack_rows(arrays[name], count)
     for name in ("cells", "neighbours"):
         arrays[name] = unpack_layers(arrays[name], count)
@@ -150,6 +151,7 @@ SCHEMA = replace(
         Dataset("gradients", "<f4", (*CELLS, _floats), pack=pack_rows),
         Dataset("ranges", "<f4", (*_rows(_blocks), 2), pack=pack_rows),
         replace(ANCHORS, shape=(*CELLS, 2), pack=pack_rows),
+        Dataset("heights", "<f4", (*CELLS, 1), needed=lambda _, there: there, pack=pack_rows),
     ),
     build=_unpack,
     older=(VERSION_1,),

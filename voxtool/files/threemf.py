@@ -74,7 +74,7 @@ class Object:
     components: list[Use] = field(default_factory=list)
     name: str = ""
     property: tuple[str, int] | None = None  # the group and the index that its triangles have
-    # Of triangles with properties: the triangle, and the place of its group and index.
+    # Triangles with properties: the triangle, and the place of its group and index.
     marks: dict[tuple[str, int], int] = field(default_factory=dict)
     marked: array[int] = field(default_factory=lambda: array("q"))  # a place, or -1, a triangle
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from voxtool.arrays import float64
 from voxtool.errors import FileError, count_of, printable
-from voxtool.files import VOLUME_FORMATS, exodus
+from voxtool.files import exodus
+from voxtool.files.formats import VOLUME_FORMATS
 from voxtool.files.streams import STREAM, PathLike, read_error
 from voxtool.files.through_meshio import read_mesh
 from voxtool.tets.mesh import UnstructuredMesh, is_volume

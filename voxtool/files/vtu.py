@@ -3,7 +3,7 @@
 The cells are the hexahedra, then the faces of surfaces as quadrilaterals. The cell array `label` is
 the number of a hexahedron's material, from 1, and 0 at faces; `surface` is the number of a face's
 surface, from 1, and 0 at hexahedra. The field data name them: each name has its number and the
-dimension of what it names, 3 or 2. Of cubes of several sizes, the point array `hanging` is the
+dimension of what it names, 3 or 2. For cubes of several sizes, the point array `hanging` is the
 number of masters of a node that hangs, and 0 at others; `masters` and `weights` are these, -1 and 0
 where there is none.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html

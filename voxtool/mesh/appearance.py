@@ -1,4 +1,4 @@
-"""What faces of a mesh belong to and look like: parts, materials, textures, colours of vertices.
+"""The parts, materials, textures and colours of the faces and vertices of a mesh.
 
 Readers fill these on request alone: see `keep` of files.mesh.load_mesh.
 """
@@ -23,7 +23,7 @@ MOST_UV = 1 << 20  # repeats of a texture on either side of 0
 
 @dataclass(frozen=True, eq=False)
 class Parts(Data):
-    """Which part each face belongs to.
+    """The part of each face.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Material(Data):
 
 @dataclass(frozen=True, eq=False)
 class Appearance(Data):
-    """What the faces of a mesh look like.
+    """The materials, textures and colours of a mesh.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is computed once for a mesh, and kept as long as it."""
+"""Results that are computed once for a mesh, and kept as long as the mesh."""
 
 from __future__ import annotations
 

@@ -268,8 +268,8 @@ def merged_faces(mesh: Mesh, *, parity: bool = False) -> np.ndarray | None:
 def net_faces(mesh: Mesh) -> np.ndarray | None:
     """Return the faces that winding numbers count, (n,) int64, ascending; None for all of them.
 
-    Repeated faces, which have the same three positions, are merged. Of k faces in one direction and
-    m in the other, one remains in the direction of the larger number; if this would lengthen the
+    Repeated faces, which have the same three positions, are merged. If k faces have one direction
+    and m the other, one remains in the direction of the larger number; if this would lengthen the
     boundary of the mesh, |k - m| remain. If k = m, one in each direction remains, which keeps the
     surface. Degenerate faces have no direction, so one of them remains.
     """

@@ -53,6 +53,7 @@ HOMES = {
     "svo/surface/greedy_meshing.h": "voxtool.svo.surface.dual",
     "svo/surface/lattice.h": "voxtool.svo.surface.isosurface",
     "svo/surface/sharp.h": "voxtool.svo.surface.sharp",
+    "svo/surface/words.h": "voxtool.svo.surface.words",
     "svo/wall_links.h": "voxtool.svo.wall_links",
     "tets/cells.h": "voxtool.tets.cells",
     "tets/conforming.h": "voxtool.tets.conforming",

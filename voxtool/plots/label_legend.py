@@ -23,7 +23,7 @@ def draw_label_legend(
     background: Sequence[float] | None = WHITE,
 ) -> np.ndarray:
     """Return the names of labels with their colours, to stand at the right of a picture, (height,
-    W, 4) float32, premultiplied. Of names that do not fit the last line says the number.
+    W, 4) float32, premultiplied. The last line counts the names that do not fit.
 
     Parameters
     ----------

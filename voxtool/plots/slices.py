@@ -1,9 +1,9 @@
 """Slices of octrees and of distance fields as pictures.
 
-Of an octree: dark blue is a voxel set in a brick; a leaf that lies completely inside the solid is
-lighter, the coarser it is. Of a field: red is inside, blue outside; isolines are at round
-distances, the thick one at 0. Thin lines bound the leaves that are large enough to be seen. The two
-remaining axes run right and up in the order x, y, z.
+In a slice of an octree dark blue is a voxel set in a brick; a leaf that lies completely inside the
+solid is lighter, the coarser it is. In a slice of a field red is inside, blue outside; isolines are
+at round distances, the thick one at 0. Thin lines bound the leaves that are large enough to be
+seen. The two remaining axes run right and up in the order x, y, z.
 """
 
 from __future__ import annotations

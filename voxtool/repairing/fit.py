@@ -5,7 +5,7 @@ centres of eight voxels [Gibson 1998]. Its connections are closed and manifold, 
 where the vertices lie. A vertex moves to the nearest point of a target, such as a mesh; if that
 lies outside its cell, the search goes on from where the tangent plane passes the cell, a few times.
 Where the target misses the cell, as over a hole that the fill rule closed, the vertex stays where
-the net has it. Of several targets the nearest point counts.
+the net has it. With several targets the nearest point counts.
 
 Faces that then pass through others are split anew, or get their vertices back from the net
 (svo/surface/untangle.py).

@@ -11,7 +11,7 @@ from voxtool.job import Cost
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.spatial.distance import POINTS_AT_ONCE, rounded_bytes
 from voxtool.svo.layout import BRICK_BYTES
-from voxtool.svo.surface.plan import EDGE_BYTES, MAX_SAMPLES, TILE_BYTES, untangling_bytes
+from voxtool.svo.surface.plan import EDGE_BYTES, TILE_BYTES, untangling_bytes
 
 if TYPE_CHECKING:
     from voxtool.svo.plan import VoxelizePlan
@@ -93,13 +93,8 @@ class RepairPlan:
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, which names a dim that fits, if the repair needs more bytes than
-        these, or a net of more samples along a side than are extracted."""
+        these."""
         self.voxels.refuse_beyond(max_memory, max_allocation)
-        if self.voxels.side > MAX_SAMPLES:
-            raise MemoryLimitError(
-                f"dim {max(self.voxels.shape)}: surfaces are extracted up to dim {MAX_SAMPLES}: "
-                f"choose --dim {MAX_SAMPLES}"
-            )
         if shortage := self.cost.shortage(max_memory, max_allocation):
             share = min(max_memory / self.cost.device, max_allocation / self.cost.largest)
             fits = int(max(self.voxels.shape) * math.sqrt(share))

@@ -92,7 +92,7 @@ class Repaired(Data):
 
     @property
     def faults(self) -> str:
-        """What keeps the result from being certified: "" for a closed manifold in which no face
+        """The reason why the result cannot be certified: "" for a closed manifold in which no face
         passes through another."""
         if not self.checked["closed"]:
             return "the result is not closed and manifold: report this mesh"

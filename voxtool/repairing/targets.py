@@ -1,4 +1,4 @@
-"""What vertices are laid onto: the points at a distance from a mesh, and cylinders.
+"""Targets that vertices are moved onto: the points at a distance from a mesh, and cylinders.
 
 A target is called with (n, 3) points in world units and returns, for each, the nearest point of the
 target, and the unit normal there: its tangent plane is where the search goes on.

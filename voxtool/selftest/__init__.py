@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from voxtool.selftest import (
+    adaptive,
     areas,
     arithmetic,
     booleans,
@@ -25,6 +26,7 @@ from voxtool.selftest import (
     parts,
     points,
     repairs,
+    thin,
     unions,
     volumes,
     voxels,
@@ -43,6 +45,7 @@ CASES: tuple[Case, ...] = (
     *areas.CASES,
     *exposed.CASES,
     *parts.CASES,
+    adaptive.surfaces,
     connected.frames,
     unions.unions,
     booleans.operations,
@@ -53,6 +56,7 @@ CASES: tuple[Case, ...] = (
     *links.CASES,
     repairs.soup,
     *fields.CASES,
+    thin.bounds,
     *volumes.CASES,
     *pages.CASES,
     *exchange.CASES,

@@ -123,7 +123,8 @@ def nearest(device: Device, full: bool) -> float:
 
 @case("bounds between discs of slivers", "their height, 0 too; 1e12, 1e-12, 1e8 off", "extents", 0)
 def bounds(device: Device, full: bool) -> float:
-    """How far a known distance is outside its bounds, or they are too far apart."""
+    """Return the most by which a known distance lies outside its bounds, or the bounds lie further
+    apart than was asked for, in extents of the mesh."""
     worst, (cone, faces) = 0.0, crowds.fan(250 if full else 100)
     disc = cone * np.array([1, 1, 0])
     for (factor, offset), height in itertools.product(SCALES, (0.125, 0.0)):

@@ -45,7 +45,7 @@ def made(
 
 
 def inside(total: Fraction) -> Fraction:
-    """What is inside by parity, of the integral of the winding number."""
+    """The share inside by parity, from the integral of the winding number."""
     return min(total % 2, 2 - total % 2)
 
 

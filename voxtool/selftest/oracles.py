@@ -260,8 +260,8 @@ def filled_face(
     triangles: Iterable, cell: Sequence[int], axis: int, turned: bool = False, unit: int = UNIT
 ) -> Fraction:
     """The integral of the winding number over the face between a voxel and the one before it along
-    an axis: the signed area of all that lies before it. Of what lies in its plane, that counts
-    which ends the inside; `turned`: of a mesh that is inside out. Vertices are in 1/unit voxel."""
+    an axis: the signed area of all that lies before it. A triangle in its plane counts if it
+    ends the inside; `turned`: the mesh is inside out. Vertices are in 1/unit voxel."""
     total = Fraction(0)
     p, q = (axis + 1) % 3, (axis + 2) % 3
     for triangle in polygons(triangles):

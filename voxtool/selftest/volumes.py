@@ -16,8 +16,9 @@ from voxtool.choices import METHODS
 from voxtool.opencl import Device
 from voxtool.rendering import render
 from voxtool.selftest import reference, shapes
-from voxtool.selftest.case import case
+from voxtool.selftest.case import Case, case
 from voxtool.selftest.isosurfaces import isosurfaces
+from voxtool.selftest.stiff_volumes import BOUNDS, error_of
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
@@ -228,4 +229,19 @@ def isosurfaces_of_slivers(device: Device, full: bool) -> float:
     return error
 
 
-CASES = (segments, ends, control_points, steps, slivers, edges, at_vertices, isosurfaces_of_slivers)
+def stiff(kind: str, name: str) -> Case:
+    """Return the case of random scenes of a kind."""
+    what = "pictures: layers cut by fractions, quadrature in float64"
+    return case(name, what, "of a colour", BOUNDS[kind])(
+        lambda device, full: error_of(device, kind, range(60 if full else 2))
+    )
+
+
+CASES = (
+    segments, ends, control_points, steps, slivers, edges, at_vertices, isosurfaces_of_slivers,
+    stiff("layers", "layers of cells down to 1e-12 thick"),
+    stiff("spikes", "spikes of colours down to 1e-15 wide"),
+    stiff("extreme", "extinctions of 1e2 to 1e13"),
+    stiff("eyes", "eyes in planes of faces"),
+    stiff("needles", "needles of cells down to 1e-7 wide"),
+)  # fmt: skip

@@ -176,8 +176,8 @@ def _on_lattice(grid: Grid, point: list[float]) -> list[int]:
 @case("faces turned and doubled", "by auto, a ball in a hollow one, 1e8 off: rational arithmetic",
       "wrong", 0)  # fmt: skip
 def turned(device: Device, full: bool) -> int:
-    """Of a mesh that is closed but for the directions of its faces and its copies of them: the
-    faces that are not turned back, and the voxels that differ from those of the closed mesh."""
+    """Turned and repeated faces of a closed mesh: the faces that are not turned back, and the
+    voxels that differ from those of the closed mesh."""
     random, found = np.random.default_rng(8), 0
     points, faces = shapes.ball(2 if full else 1)
     points, faces = shapes.join(

@@ -21,13 +21,10 @@ import numpy as np
 from voxtool.errors import count_of
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.counts import check_topology
-from voxtool.mesh.loops import find_loops
 from voxtool.mesh.once import once
-from voxtool.mesh.shells import find_shells
 from voxtool.mesh.topology import Topology, topology_of, twins_of, volume, ways_of
 from voxtool.mesh.watertight import watertight
 from voxtool.spatial.bvh import build_tree
-from voxtool.spatial.nesting import nest
 from voxtool.spatial.self_intersections import crossing_shells, find_self_intersections
 
 if TYPE_CHECKING:
@@ -132,6 +129,10 @@ def inside_of_closed(mesh: Mesh, device: Device) -> Inside | None:
         topology = topology_of(distinct, weld=False)
         if not _is_closed(topology):
             return None
+    from voxtool.mesh.loops import find_loops
+    from voxtool.mesh.shells import find_shells
+    from voxtool.spatial.nesting import nest
+
     shells = find_shells(distinct, topology, find_loops(distinct, topology))
     meeting = meeting_faces(distinct, device)
     crossing, clear = crossing_shells(device, distinct, shells.of, meeting)

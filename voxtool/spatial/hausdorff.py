@@ -3,13 +3,13 @@
 The directed distance from a mesh to another is the largest distance from a point of the one to the
 other. The distances at vertices, and at the centroids of pieces of faces, are lower bounds of it
 [Guthe 2005]. The largest of them plus the tolerance is the reach. Most faces are within reach by
-the distances of their corners and their size. Of the others, all that is within reach of single
-triangles is cut off. The distance to a triangle is convex [Sacht 2024]: where corners of a piece,
-and points on its edges, are within reach of it, so is their hull. Each round cuts by the triangles
-nearest to the centroids of all pieces. A piece of which little would be cut off is halved. In the
-end nothing is left, so no point is beyond the reach. Cuts follow the edges of the other mesh. So
-where surfaces coincide the number of pieces grows as the logarithm of 1 / tolerance; by halving
-alone it would grow as 1 / tolerance.
+the distances of their corners and their size. Whatever of the others is within reach of
+single triangles is cut off. The distance to a triangle is convex [Sacht 2024]: where corners of a
+piece, and points on its edges, are within reach of it, so is their hull. Each round cuts by the
+triangles nearest to the centroids of all pieces. A piece of which little would be cut off is
+halved. In the end nothing is left, so no point is beyond the reach. Cuts follow the edges of the
+other mesh. So where surfaces coincide the number of pieces grows as the logarithm of 1 / tolerance;
+by halving alone it would grow as 1 / tolerance.
 
 No result depends on the size of batches: pieces keep their order, and the reach is that of a round.
 
@@ -53,6 +53,7 @@ SOURCE = "spatial/hausdorff.cl"
 TOLERANCE = 1e-5  # by default, of the diagonal of the box around both meshes
 ROUNDS = 128
 ERROR = 2.0**-42  # more than (430 + 9 (ROUNDS + 2)) 2^-53
+NEARLY = 2.0**-6  # of a reach: what is nearer to it may be taken for beyond
 PIECES = 1 << 21  # left after a round, at most; those nearest to the other mesh are given up
 PIECES_AT_ONCE = 1 << 18  # cut on the device
 PIECE_BYTES = 448  # of a piece on the host, with what two parts of it take
@@ -212,7 +213,8 @@ def bound(
         if highest > lower:
             lower, furthest = highest, point
         reach = max(lower + gap, covered)
-        pieces, uppers, hull = _cut(to, pieces, slots, uppers, reach, gap / 4)
+        pieces, counts, found, hull = _cut(to, pieces, slots, reach, gap / 4)
+        uppers = np.repeat(np.minimum(uppers, found), counts)
         covered = max(covered, hull)
         if len(pieces) > most:
             covered = max(covered, float(np.partition(uppers, -most)[-most]))
@@ -227,6 +229,51 @@ def bound(
         nearest[0],
         count,
     )
+
+
+def faces_beyond(
+    mesh: Mesh, faces: np.ndarray, to: TriangleDistance, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return which of (n, 3) faces of a mesh may have a point further than `reach` from another
+    mesh, (n,) bool, and the largest distance that was found of each, (n,) float64; world units.
+
+    Every point of the other faces is within reach. Faces whose largest distance is less than the
+    reach by more than NEARLY of it are never named.
+    """
+    frame, local = to.tree.frame, to.tree.frame.local(mesh.vertices)
+    beyond, largest = np.zeros(len(faces), bool), np.zeros(len(faces))
+    for start in range(0, len(faces), PIECES_AT_ONCE):
+        part = slice(start, start + PIECES_AT_ONCE)
+        beyond[part], largest[part] = _beyond(local, mesh, faces[part], to, reach)
+    return beyond, np.ldexp(largest, frame.exponent)
+
+
+def _beyond(
+    local: np.ndarray, mesh: Mesh, faces: np.ndarray, to: TriangleDistance, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return as faces_beyond, distances in local coordinates."""
+    at_vertices = _at_vertices(to, mesh.vertices, faces)
+    error = ERROR * max(1.0, float(np.abs(local[at_vertices >= 0]).max()))
+    limit = math.ldexp(reach, -to.tree.frame.exponent) - 2 * error
+    largest = at_vertices[faces].max(axis=1)
+    beyond = largest > limit
+    near = _at_faces(to.device, local, at_vertices, faces) <= limit
+    owners = np.flatnonzero(~(near | beyond))
+    pieces = local[faces[owners]]
+    for _ in range(ROUNDS):
+        if not len(pieces):
+            break
+        distances, slots = _nearest(to, (pieces[:, 0] + pieces[:, 1] + pieces[:, 2]) / 3)
+        np.maximum.at(largest, owners, distances)
+        beyond[owners[distances > limit]] = True
+        kept = ~beyond[owners]
+        if kept.any():
+            pieces, counts, _, _ = _cut(to, pieces[kept], slots[kept], limit, NEARLY * limit)
+            owners = np.repeat(owners[kept], counts)
+        else:
+            owners, pieces = owners[:0], pieces[:0]
+    beyond[owners] = True
+    return beyond, largest
 
 
 def _at_vertices(to: TriangleDistance, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -266,16 +313,13 @@ def _nearest(to: TriangleDistance, points: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _cut(
-    to: TriangleDistance,
-    pieces: np.ndarray,
-    slots: np.ndarray,
-    uppers: np.ndarray,
-    reach: float,
-    slack: float,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return what is left of (n, 3, 3) pieces, upper bounds of its distances, and of the rest."""
+    to: TriangleDistance, pieces: np.ndarray, slots: np.ndarray, reach: float, slack: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Return what is left of (n, 3, 3) pieces; of each piece the number of these, upper bounds of
+    its distances; and one of the distances of the rest."""
     device, covered = to.device, 0.0
     left: list[np.ndarray] = []
+    numbers: list[np.ndarray] = []
     bounds: list[np.ndarray] = []
     cut_pieces = device.kernel(SOURCE, "cut_pieces")
     for start in range(0, len(pieces), PIECES_AT_ONCE):
@@ -285,8 +329,9 @@ def _cut(
         parts, counts = device.empty(18 * n, np.float64), device.empty(n, np.uint8)
         found, hulls = (device.empty(n, np.float64) for _ in range(2))
         cut_pieces(n, *own, to.tree.leaves, reach, slack, parts, counts, found, hulls)
-        some = counts.take()[:, None] > np.arange(2)
+        numbers.append(counts.take())
+        some = numbers[-1][:, None] > np.arange(2)
         left.append(parts.take().reshape(-1, 3, 3)[some.ravel()])
-        bounds.append(np.repeat(np.minimum(uppers[batch], found.take()), some.sum(axis=1)))
+        bounds.append(found.take())
         covered = max(covered, float(hulls.take().max()))
-    return np.concatenate(left), np.concatenate(bounds), covered
+    return np.concatenate(left), np.concatenate(numbers), np.concatenate(bounds), covered

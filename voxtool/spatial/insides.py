@@ -5,8 +5,8 @@ changes in it with the boundary's shape alone (boundary.py). Points in the ball 
 side of its centre where the number there is far enough from 1/2. Points along a Hilbert curve are
 taken in groups, large ones first: of each group the number is computed at the point that is
 farthest from the mesh, and decides others; the last groups have one point. Provided that numbers
-are off by less than 2^-7, the sides are those of the numbers of all points. Of a million random
-points about the bunny 46,000 need a number.
+are off by less than 2^-7, the sides are those of the numbers of all points. About the bunny, 46,000
+of a million random points need a number.
 
 Kernels: kernels/spatial/insides.cl.
 """

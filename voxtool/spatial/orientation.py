@@ -1,4 +1,4 @@
-"""Which faces of a mesh to reverse so that all point outward.
+"""The faces of a mesh that are to be reversed so that all point outward.
 
 The faces are joined to sheets across edges of two faces, which tell how neighbours are wound. Lines
 through points of a sheet then tell which of its two sides is out [Takayama 2014]: the side that is

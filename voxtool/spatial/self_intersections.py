@@ -1,10 +1,11 @@
 """Self-intersections: faces of a mesh through which others pass.
 
-Two triangles are apart if their projections on some axis are: the normals, the products of their
-edges, and, where they are coplanar, the products of normals and edges [Gottschalk 1996]. If they
-share a corner, a plane through it must separate them; if they share two, they must not fold back
-onto each other. What rounding cannot decide counts as an intersection: edges that meet at an angle
-of a, some 2e-17 / a apart.
+Two triangles are apart if the corners of one are on the same side of the other's plane. If not,
+they meet where an edge of one passes through the other, touching included [Guigue 2003]; if they
+are coplanar, where no edge of either separates them. Corners and edges that they share do not
+count: if they share one corner, the edges opposite to it decide; if they share two, they meet if
+they fold back onto each other. All of that are signs of determinants, which are exact
+(kernels/spatial/exact_sides.h): of coordinates down to 2^-188 of half the mesh's extent.
 
 Where many faces lie near each other, as about the apex of a large fan, the pairs are too many to be
 tested. The work for each face is bounded, and faces that would need more are reported as undecided.
@@ -15,6 +16,7 @@ Kernels: kernels/spatial/self_intersections.cl.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
@@ -58,14 +60,16 @@ def find_self_intersections(
     `some` are the faces that are tested against all, (F,) bool, with 0 for the others; None for
     all.
     """
-    vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
+    scale = math.ldexp(1.0, -tree.frame.exponent)
+    vertices, faces = device.put(mesh.vertices * scale), device.put(mesh.faces)
+    centre = device.put(tree.frame.centre * scale)
     corners = device.put(mesh.positions[mesh.faces].astype(np.int32))
     found = device.zeros(len(mesh.faces), np.uint8)
     if some is not None:
         found = device.put(np.where(some, 0, LEFT_OUT).astype(np.uint8))
     with device.stage("self-intersections"):
         find = device.kernel(SOURCE, "find_self_intersections")
-        shared = (tree.names, vertices, faces, corners, tree.nodes, tree.first_leaf)
+        shared = (tree.names, vertices, faces, corners, centre, tree.nodes, tree.first_leaf)
         find(tree.count, *shared, NEAR, 0, found)
         undecided = np.count_nonzero(found.get() == UNDECIDED)
         most = max(tests, NEAR * tree.count) // max(undecided, 1)

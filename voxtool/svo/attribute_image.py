@@ -105,7 +105,7 @@ class AttributeImage:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of labels, what each number is, from 0 on; otherwise none."""
+        """The name of each label, from 0 on; none for other attributes."""
         return ("", *self.attribute.names) if self.name == "label" else ()
 
     @property

@@ -24,13 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.svo.attributes import BITS, Attribute
+from voxtool.svo.attributes import BITS, BRICKS, Attribute
 from voxtool.svo.counts import BRICK_POWER
 from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
 from voxtool.svo.octree import Level, Octree
 from voxtool.svo.tallies import CHILDREN, tally_of
-
-BRICKS = 1 << 14  # bricks that are unpacked at once
 
 
 class CellValues:
@@ -147,7 +145,7 @@ class CellValues:
 
     @cached_property
     def _ranks(self) -> list[np.ndarray]:
-        """Of each level, how many inside leaves come before each node."""
+        """The number of inside leaves before each node, by level."""
         return [np.cumsum(level.inside) - level.inside for level in self.levels]
 
     def around(self, codes: np.ndarray, number: int) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Attributes of parts of an octree, whose values may stay in a file.
 
-Of a part that cells.py cuts out, only the values of its own bricks and leaves are read. Where they
-are follows from a sum for each block of bricks and of nodes, so nothing is held for each brick.
+Only the values of the bricks and leaves of a part that cells.py cuts out are read. Their
+places follow from a sum for each block of bricks and of nodes, so nothing is held for each brick.
 """
 
 from __future__ import annotations

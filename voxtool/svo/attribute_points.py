@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from voxtool.svo.attribute_levels import BRICKS, CellValues
+from voxtool.svo.attribute_levels import CellValues
+from voxtool.svo.attributes import BRICKS
 
 BRICK_BITS = np.uint64(6)  # of a voxel's code, within its brick
 

@@ -1,5 +1,4 @@
-"""What voxels are made of: labels, colours, normals, fractions and the like of the set voxels of an
-octree.
+"""Attributes: labels, colours, normals, fractions and the like of the set voxels of an octree.
 
 An attribute has a value for each set voxel of the bricks, brick by brick, in the order of the bits,
 and one for each inside leaf above them, in the order of the nodes. With masks, only the voxels of
@@ -12,21 +11,25 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from voxtool.arrays import Data, Slices, blocks_of
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.svo.exact_sums import exact_sum
 from voxtool.svo.layout import BRICK, BRICK_SIDE
 
+if TYPE_CHECKING:
+    from voxtool.svo.content import OctreeContent
+
+COLOUR = "colour"
 BLOCK = 1 << 18  # values, or masks, that are read at once
+BRICKS = 1 << 14  # bricks that are unpacked at once
 BITS = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
 
 
 class Kind(NamedTuple):
-    """What values of an attribute can be."""
+    """The values that an attribute can have."""
 
     channels: int  # 0 for single numbers
     dtypes: tuple[str, ...]
@@ -127,7 +130,7 @@ class Attribute(Data):
 
     @property
     def head(self) -> dict[str, Any]:
-        """What a file holds beside the arrays and the names, in JSON types."""
+        """The description that a file holds beside the arrays and the names, in JSON types."""
         return {
             "dtype": self.leaves.dtype.str.lstrip("<|"),
             "masked": self.masked,
@@ -136,7 +139,7 @@ class Attribute(Data):
 
     @property
     def described(self) -> dict[str, Any]:
-        """What a digest holds beside the arrays, in JSON types."""
+        """The description that a digest covers beside the arrays, in JSON types."""
         return {**self.head, "names": list(self.names)}
 
     @property
@@ -147,6 +150,8 @@ class Attribute(Data):
     @property
     def total(self) -> Fraction:
         """The exact sum of the values of voxels, which are single numbers."""
+        from voxtool.svo.exact_sums import exact_sum
+
         return sum(map(exact_sum, blocks_of(self.values, BLOCK)), Fraction(0))
 
     @cached_property
@@ -268,3 +273,8 @@ def _check_range(where: str, attribute: Attribute, array: np.ndarray) -> None:
         least, most = RANGES[attribute.name]
         if not ((array >= least) & (array <= most)).all():
             raise FileError(f"{where}: a number that is not from {least} to {most:.9g}")
+
+
+def has_colours(octree: OctreeContent) -> bool:
+    """Return whether the voxels of an octree have colours."""
+    return any(attribute.name == COLOUR for attribute in octree.attributes)

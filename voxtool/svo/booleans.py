@@ -245,7 +245,7 @@ class CombineJob(Job[Octree]):
 
     @property
     def described(self) -> dict[str, Any]:
-        """What the result says of itself beside its content."""
+        """The attributes of the result beside its content."""
         units = next((octree.units for octree in self.octrees if octree.units), "")
         transforms = {octree.transform for octree in self.octrees}
         return {

@@ -15,8 +15,8 @@ from voxtool.svo.counts import NodeCounts
 from voxtool.svo.layout import BRICK, BRICK_SIDE
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.merge import CHILDREN, SUBTREE, Subtrees
-from voxtool.svo.merged import MergedOctree, in_memory
-from voxtool.svo.octree import Octree, level_number
+from voxtool.svo.merged import MergedOctree
+from voxtool.svo.octree import Octree, in_memory, level_number
 
 NODE_BYTES = 64  # of states, codes, counts and words, a node
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,8 @@ from voxtool.svo.tiling import BRICK_CELLS, BRICKS, LEVEL, TILE, Tiling
 
 # The voxels of coordinate 0 along an axis, as in kernels/svo/fill/beside.h.
 LOW = np.array([0x0055005500550055, 0x0000333300003333, 0x000000000F0F0F0F], np.uint64)
-BRICK_HOST_BYTES = {6: 200, 26: 400}  # of a brick of a mixed tile, at peak, by neighbours
+AXES = {6: 1, 18: 2, 26: 3}  # along which a neighbour may lie a step away
+BRICK_HOST_BYTES = {6: 200, 18: 400, 26: 400}  # of a brick of a mixed tile, at peak, by neighbours
 SHOWN = 10  # sizes in a note
 KEEP, FILL, LABEL = "keep", "fill-cavities", "components"  # operations
 STAGES = {KEEP: ["components", "build"], FILL: ["fill cavities", "build"], LABEL: ["components"]}
@@ -49,13 +50,16 @@ def spilled_along(axis: int, masks: np.ndarray, step: int) -> np.ndarray:
 
 def spilled(masks: np.ndarray, step: tuple[int, ...], neighbours: int) -> np.ndarray:
     """Return the voxels, in the bricks a step away, that touch voxels of masks."""
-    if neighbours == 6 and not any(step):
-        x, y, z = (spilled_along(axis, masks, 0) for axis in range(3))
-        return x | y | z
-    for axis in range(3):
-        if step[axis] or neighbours == 26:
-            masks = spilled_along(axis, masks, step[axis])
-    return masks
+    for axis in np.flatnonzero(step).tolist():
+        masks = spilled_along(axis, masks, step[axis])
+    within = [axis for axis in range(3) if not step[axis]]
+    reached = np.zeros_like(masks)
+    for axes in combinations(within, min(AXES[neighbours] + len(within) - 3, len(within))):
+        found = masks
+        for axis in axes:
+            found = spilled_along(axis, found, 0)
+        reached |= found
+    return reached
 
 
 def split(bricks: np.ndarray, neighbours: int) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +114,7 @@ class Pieces:
     def links(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the pairs of pieces that touch."""
         for step in product((-1, 0, 1), repeat=3):
-            if any(step) and (self.neighbours == 26 or sum(map(abs, step)) == 1):
+            if 0 < sum(map(abs, step)) <= AXES[self.neighbours]:
                 yield from self._of_leaves(step)
                 yield from self._of_parts(step)
 
@@ -214,7 +218,7 @@ class Components:
 
     @classmethod
     def of(cls, voxels: Tiling, neighbours: int) -> Components:
-        """Return the components under 6 (faces) or 26 (also edges and corners) neighbours."""
+        """Return the components across faces (6), also edges (18) or corners (26)."""
         pieces = Pieces(voxels, neighbours)
         sizes = pieces.sizes()
         links = [np.stack(pair) for pair in pieces.links()]

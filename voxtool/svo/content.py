@@ -30,7 +30,6 @@ from voxtool.svo.layout import (
     unpack_bricks,
 )
 from voxtool.svo.links import REFINED, level_states, nodes_of, offsets_of
-from voxtool.svo.prune import kinds_of_bricks, pruned_states
 from voxtool.svo.validate import check_sizes, check_structure
 
 BLOCK = 1 << 16  # nodes that are read at once
@@ -49,7 +48,8 @@ class Span:
 
 
 class OctreeContent:
-    """What an octree holds: the base of `Octree` and `StoredOctree`, which have these attributes.
+    """The content of an octree: the base of `Octree` and `StoredOctree`, which have these
+    attributes.
 
     Slices of `nodes` and `bricks` are arrays; the two need not be arrays themselves.
     """
@@ -222,6 +222,8 @@ class OctreeContent:
     def set_digest(self) -> str:
         """Return the SHA-256 of shape, origin, pitch, and of the offsets, nodes and bricks of the
         pruned octree. Equal sets of voxels have equal set digests, however they were made."""
+        from voxtool.svo.prune import kinds_of_bricks, pruned_states
+
         kinds = [kinds_of_bricks(block) for block in self.brick_blocks()]
         states = level_states(self.offsets, self.nodes)
         levels = pruned_states(states, np.concatenate([np.empty(0, np.uint8), *kinds]))[::-1]

@@ -1,7 +1,7 @@
-"""What a picture needs of an octree: links that rays follow, and where something is set.
+"""The data of an octree that rays need: the links that they follow, and where something is set.
 
-Of a merged octree, each distinct subtree counts once: rays need no node's parent and no index of
-its own, as they know where they are by the way that they came.
+A merged octree has each distinct subtree once: rays need no node's parent and no index of its
+own, as they know where they are by the way that they came.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The cells of an image are voxels, or at level N cubes of 2**N voxels a side, ali
 cell's count is the number of its voxels that are set. Values follow from counts by the dtype: a
 float holds the coverage, count / 8**N; a whole number the count itself; a bool whether the coverage
 is at least the isovalue. Nothing dense is held: at most four layers of cells, or a few thousand
-blocks. Of cells that are nodes above the bricks, the octree need not be in memory; otherwise see
+blocks. If the cells are nodes above the bricks, the octree need not be in memory; otherwise see
 image_parts.py.
 """
 

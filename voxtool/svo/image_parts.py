@@ -1,6 +1,6 @@
 """Images of octrees that are larger than the memory that they may take, part by part.
 
-A part is a box of the grid. Of the octree only the nodes that reach it are read (cells.py), and its
+A part is a box of the grid. Only the nodes of the octree that reach it are read (cells.py), and its
 image is that of any octree. Parts follow one another along the slowest axis of what is written, so
 that the output is that of the whole image; a part that does not fit after all is halved.
 """
@@ -22,8 +22,7 @@ from voxtool.svo.attribute_parts import AttributeParts
 from voxtool.svo.cells import Cells
 from voxtool.svo.image import EVERY, NODES, VoxelImage
 from voxtool.svo.image import NODE_BYTES as LIST_BYTES
-from voxtool.svo.merged import in_memory
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree import Octree, in_memory
 from voxtool.svo.slabs import THICK, Order
 
 SHARE = 8  # bytes of memory for a byte of the nodes of a part: its bricks, lists and counts
@@ -123,7 +122,7 @@ class ImageInParts(VoxelImage):
 
     @property
     def _shared(self) -> dict[str, Any]:
-        """What a part has of the image."""
+        """The fields of the image that a part takes over."""
         names = (item.name for item in fields(VoxelImage) if item.name != "octree")
         return {name: getattr(self, name) for name in names}
 

@@ -6,33 +6,41 @@ Closed meshes are decided by their shells (spatial/fill_rule.py). A mesh that is
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
 from voxtool.mesh.topology import net_faces
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Device
 from voxtool.spatial.fill_rule import Inside, inside_of_closed
-from voxtool.svo.consistency import consistent
-from voxtool.svo.fill.caps import Boundary, find_boundary
-from voxtool.svo.plan import COMPARISON
+
+if TYPE_CHECKING:
+    from voxtool.svo.fill.caps import Boundary
 
 
 @once
 def net_boundary(mesh: Mesh) -> Boundary:
     """Return the boundary of the faces that winding numbers count."""
+    from voxtool.svo.fill.caps import find_boundary
+
     return find_boundary(mesh, net_faces(mesh))
 
 
 @once
 def inside_of(mesh: Mesh, device: Device) -> Inside:
     """Return what is inside of a mesh."""
-    if not once(watertight)(mesh, device) and consistent(mesh, net_boundary(mesh), device):
-        return Inside(None, "winding")
+    if not once(watertight)(mesh, device):
+        from voxtool.svo.consistency import consistent
+
+        if consistent(mesh, net_boundary(mesh), device):
+            return Inside(None, "winding")
     return inside_of_closed(mesh, device) or _compared(mesh, device)
 
 
 def _compared(mesh: Mesh, device: Device) -> Inside:
     from voxtool.svo.choosing import choose
+    from voxtool.svo.plan import COMPARISON
     from voxtool.svo.voxelize import voxelize
 
     with device.stage(COMPARISON), device.reporting(lambda _: None):  # not the stages within

@@ -1,11 +1,10 @@
-"""How many voxels have each label."""
+"""The number of voxels of each label."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from voxtool.svo.attribute_levels import BRICKS
-from voxtool.svo.attributes import BITS
+from voxtool.svo.attributes import BITS, BRICKS
 from voxtool.svo.content import AttributedContent
 
 

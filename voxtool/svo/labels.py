@@ -41,7 +41,7 @@ class Labels:
     octree : Octree
         The voxels.
     neighbours : int
-        6: voxels are connected across faces; 26: also across edges and corners.
+        6: voxels are connected across faces; 18: also across edges; 26: also across corners.
     sizes : (n,) int64
         The voxels of each component.
     boxes : (n, 2, 3) int64

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +16,10 @@ from voxtool.errors import GridError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Array, Device
-from voxtool.svo.fill.caps import Boundary, Caps, find_caps
 from voxtool.svo.plan import Survey
+
+if TYPE_CHECKING:
+    from voxtool.svo.fill.caps import Boundary, Caps
 
 SOURCE = "svo/lattice.cl"
 SURVEY_ITEMS = 256  # work-items; each sums its share of the triangles
@@ -84,7 +87,11 @@ def place_mesh(
         grid = grid.window(low, shape)
         fixed -= np.asarray(low, np.int32) << bits
     own = mesh.faces if some is None else mesh.faces[some]
-    caps = None if boundary is None else find_caps(fixed, boundary)
+    caps = None
+    if boundary is not None:
+        from voxtool.svo.fill.caps import find_caps
+
+        caps = find_caps(fixed, boundary)
     faces = device.view(own if caps is None else np.concatenate([own, caps.faces]))
     closed, closing = faces, None
     if boundary is not None and caps is not None:

@@ -4,8 +4,8 @@ A cube has 2**n cells a side, is aligned to the grid's low corner, wholly set an
 It is as large as possible, but so that all cells that a face touches are alike: all unset, or all
 of one material. So surfaces are made of whole faces. A node of small cubes that lies on an edge or
 a face of a larger one, not at a corner of it, hangs: its value is interpolated from the masters,
-the corners of that edge or face, with weights that are exact. Of several larger cubes the largest
-one counts. A master may hang itself, on a larger cube.
+the corners of that edge or face, with weights that are exact. If there are several larger cubes,
+the largest one counts. A master may hang itself, on a larger cube.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ class LeafHexahedra(Hexahedra):
 
     @property
     def _spans(self) -> np.ndarray:
-        """What the key of a node counts for a step along each axis."""
+        """The differences of keys of nodes that are one step apart along each axis."""
         _, ny, nz = self.image.shape
         return np.array([(ny + 1) * (nz + 1), nz + 1, 1], np.int64)
 

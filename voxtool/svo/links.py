@@ -4,8 +4,8 @@ A node's state says whether it is refined, or an empty or a full leaf. Its links
 states of the nodes before it, so the states of an octree, a byte a node above the bricks, are all
 that is needed to write its nodes block by block.
 
-Links have 30 bits. Of an octree with more nodes, which only merged subtrees can stand for, they are
-the lowest 30 bits: a digest needs no more, as the states say where children are.
+Links have 30 bits. In an octree with more nodes, which only merged subtrees can stand for, they
+are the lowest 30 bits: a digest needs no more, as the states say where children are.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ def _of_bricks(bricks: np.ndarray) -> np.ndarray:
     words = bricks.copy()
     for low, high in SWAPS:
         _swap(words, low, high)
-    # Of a brick, byte 2 x + (y >> 1) holds four bits along z for an even y, then for an odd one.
+    # Byte 2 x + (y >> 1) of a brick holds four bits along z for an even y, then for an odd one.
     parts = words.astype("<u8", copy=False).view(np.uint8).reshape(-1, 2, 2, 2, 4, 2)
     near, far = parts[:, 0], parts[:, 1]  # by z; then by y, by x, x, y >> 1
     found = np.empty((len(bricks), 2, 4, 2, 2, 2), np.uint8)  # by x, x, y, y >> 1, y & 1

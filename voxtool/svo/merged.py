@@ -6,11 +6,11 @@ how often each subtree occurs, digests from the states of the nodes, a byte each
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from voxtool.errors import FileError, MemoryLimitError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
-from voxtool.svo.attributes import KINDS
-from voxtool.svo.content import BLOCK, OctreeContent, StoredOctree
+from voxtool.svo.content import BLOCK, OctreeContent
 from voxtool.svo.layout import (
     BRICK,
     BRICK_BYTES,
@@ -175,7 +174,8 @@ class MergedOctree(PointQueries, Data, OctreeContent):
 
     @cached_property
     def occurrences(self) -> list[np.ndarray]:
-        """How often each subtree occurs, (n,) int64 by level, root first, and each leaf."""
+        """The number of times that each subtree and each leaf occurs: (n,) int64 by level, root
+        first."""
         found = [np.ones(int(self.starts[1]), np.int64)]
         for d, size in enumerate(self.sizes[1:]):
             masks, links = self.level(d)
@@ -376,25 +376,6 @@ class MergedOctree(PointQueries, Data, OctreeContent):
             If an invariant does not hold; the message names the first one.
         """
         check_subtrees(self)
-
-
-def in_memory(
-    octree: OctreeContent, max_memory: int | None = None, names: Collection[str] = tuple(KINDS)
-) -> Octree:
-    """Return an octree of a file, or a merged one, with all its nodes in memory, and the attributes
-    in `names`; the values of others stay in the file.
-
-    Raises
-    ------
-    MemoryLimitError
-        If it does not fit, or with attributes in `max_memory` bytes, or its nodes exceed links of
-        30 bits.
-    """
-    if isinstance(octree, MergedOctree):
-        return octree.expanded()
-    if isinstance(octree, StoredOctree):
-        return Octree.of_stored(octree, max_memory, names)
-    return cast("Octree", octree)
 
 
 def link_bytes(below: int) -> int:

@@ -38,7 +38,6 @@ from voxtool.svo.layout import (
     unpack_bricks,
 )
 from voxtool.svo.links import level_states, nodes_of, offsets_of
-from voxtool.svo.prune import octree_of_bricks, prune
 from voxtool.svo.validate import check_sizes
 
 if TYPE_CHECKING:
@@ -77,7 +76,7 @@ class Level:
 
 
 class PointQueries:
-    """What octrees with all nodes and merged ones can be asked at points."""
+    """Queries at points, of octrees with all nodes and of merged ones."""
 
     def contains(self, points: Any, *, device: Device | None = None) -> np.ndarray:
         """Return whether points lie in set voxels; see voxtool.query_svo.
@@ -212,6 +211,8 @@ class Octree(PointQueries, AttributedContent, Data):
         if dense.ndim != 3:
             raise GridError(f"array of shape {dense.shape}: give one with three axes, x, y and z")
         grid = Grid(dense.shape, origin, pitch)  # pyright: ignore[reportArgumentType]
+        from voxtool.svo.prune import octree_of_bricks
+
         arrays = octree_of_bricks(grid.side, *pack_array(dense != 0), collapse="solid" in mode)
         return cls(grid, mode, "none", *arrays, units=units)
 
@@ -252,6 +253,8 @@ class Octree(PointQueries, AttributedContent, Data):
                 f"voxel {tuple(voxels[np.argmax(beyond)].tolist())} is not in the grid of "
                 f"{' x '.join(map(str, grid.shape))}"
             )
+        from voxtool.svo.prune import octree_of_bricks
+
         arrays = octree_of_bricks(grid.side, *pack_voxels(voxels), collapse="solid" in mode)
         return cls(grid, mode, "none", *arrays, units=units)
 
@@ -362,6 +365,8 @@ class Octree(PointQueries, AttributedContent, Data):
         """Return the pruned octree of the same voxels, with mode "solid" and fill "none": it has a
         leaf wherever all voxels of a node are set, or none. A set has one pruned octree."""
         none = np.empty(0, np.uint64)  # no node stays refined by its code
+        from voxtool.svo.prune import prune
+
         arrays = prune(none, level_states(self.offsets, self.nodes), self.bricks, none)
         return Octree(self.grid, "solid", "none", *arrays, units=self.units)
 
@@ -409,3 +414,22 @@ def level_number(octree: OctreeContent, level: int | str, coarsest: int) -> int:
         f"level {level!r}: choose 'voxel' or a level from 0 to {coarsest}, those that an octree of "
         f"dim {octree.grid.dim} has"
     )
+
+
+def in_memory(
+    octree: Any, max_memory: int | None = None, names: Collection[str] = tuple(KINDS)
+) -> Octree:
+    """Return an octree of a file, or a merged one, with all its nodes in memory, and the attributes
+    in `names`; the values of others stay in the file.
+
+    Raises
+    ------
+    MemoryLimitError
+        If it does not fit, or with attributes in `max_memory` bytes, or its nodes exceed links of
+        30 bits.
+    """
+    if isinstance(octree, Octree):
+        return octree
+    if isinstance(octree, StoredOctree):
+        return Octree.of_stored(octree, max_memory, names)
+    return octree.expanded()

@@ -1,8 +1,8 @@
 """Colours of voxels by their attributes, for pictures and pages.
 
-Of colours those of sRGB, as pictures write what is computed without a gamma; of labels the palette;
-of a normal (n + 1) / 2 as red, green and blue; of a fraction a ramp from EMPTY to WHOLE. A cube
-without colour (opacity 0) or normal (0 0 0) has the colour of octrees without attributes.
+Colours are those of sRGB, as pictures write what is computed without a gamma; labels have the
+palette; a normal is (n + 1) / 2 as red, green and blue; a fraction is a ramp from EMPTY to WHOLE. A
+cube without colour (opacity 0) or normal (0 0 0) has the colour of octrees without attributes.
 """
 
 from __future__ import annotations

@@ -19,7 +19,9 @@ CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
 NODE_BLOCK = 64  # voxels along a side of a block of level-1 nodes
 NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
 CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
-DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
+REGION = 8 * NODE_BLOCK  # voxels along a side of a region of blocks
+DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense, and eight times as many up to
+# which the set of its blocks is
 CROWD = 1024  # leaves of caps near a voxel that winding numbers are summed over; at larger
 # reaches more, by their squares
 MOST_LEFT = 0.5  # share of nodes near holes without an answer up to which their bricks are expanded
@@ -63,6 +65,7 @@ class VoxelizePlan:
     wide: bool  # predicates use 128 bits
     code_bits: int  # of a Morton code
     blocked: bool  # the level-1 volume is stored in blocks
+    regions: bool  # and only its active regions have blocks
     entry: bool  # rows have a state where they enter the grid
     tiled: bool  # a triangle's voxels are divided among work-items
     tiled_nodes: bool  # a triangle's level-1 nodes are divided among work-items
@@ -201,9 +204,10 @@ class VoxelizePlan:
     def _volume_bytes(self) -> int:
         """Bytes of the level-1 volume: its words, and as many ranks."""
         if not self.blocked:
-            return _dense_bytes(self.side)
-        blocks = self.active[3] if len(self.active) > 3 else 1
-        return 2 * 4 * max((self.side // NODE_BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
+            return _dense_bytes(self.side, CELL)
+        blocks, regions = (self.active[i] if len(self.active) > i else 1 for i in (3, 6))
+        above = _dense_bytes(self.side, REGION if self.regions else NODE_BLOCK)
+        return above + (blocks + regions * self.regions) * (16 * 4 * 2 + 8)
 
     @property
     def work(self) -> int:
@@ -224,7 +228,9 @@ class VoxelizePlan:
                 f"the octree's side is {self.side}; 32 bits suffice up to {CODE_32_SIDE}"
             )
         if not self.blocked:
-            out["blocked level-1 volume"] = f"a dense one takes {_dense_bytes(self.side):,} bytes"
+            out["blocked level-1 volume"] = (
+                f"a dense one takes {_dense_bytes(self.side, CELL):,} bytes"
+            )
         if not self.tiled:
             out["sharing of triangles among work-items"] = extent
         if not self.solid:
@@ -347,6 +353,7 @@ def plan_of(survey: Survey, shape: tuple[int, int, int], **request: Any) -> Voxe
         wide=survey.extent > NARROW_EXTENT or request.get("bits", 0) > FIXED_POINT_BITS,
         code_bits=32 if side <= CODE_32_SIDE else 64,
         blocked=side > DENSE_SIDE,
+        regions=side > DENSE_SIDE * NODE_BLOCK // CELL,
         entry=solid and survey.before,
         tiled=survey.extent > COLUMN_TILE - 3,
         tiled_nodes=survey.extent > (COLUMN_TILE - 3) * CELL,
@@ -386,8 +393,9 @@ def _predict_active(
     return tuple(counts)
 
 
-def _dense_bytes(side: int) -> int:
-    return 2 * 4 * max((side // CELL) ** 3 // 32, 1)
+def _dense_bytes(side: int, cell: int) -> int:
+    """Return the bytes of a set of the cells of a grid: its words, and as many ranks."""
+    return 2 * 4 * max((side // cell) ** 3 // 32, 1)
 
 
 def _rescale(plan: VoxelizePlan, factor: float) -> VoxelizePlan:

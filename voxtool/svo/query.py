@@ -2,15 +2,15 @@
 the nearest set voxel.
 
 The way from the root to a point's voxel is given by the bits of its coordinates ([voCCeL],
-algorithm 1). Of a merged octree the same way leads through distinct subtrees, which are not
+algorithm 1). In a merged octree the same way leads through distinct subtrees, which are not
 expanded.
 
 Points are rounded to voxels on the host, exactly (points.py); the device walks, for many points at
 once. Coverages are float64, of at most 49 digits, so exact.
 
 Nearest voxels are found by branch and bound, among nodes whose box of centres is not further than
-the best so far. Of points in voxels, rounded to float64, distances are rounded in one fixed way; of
-equal ones the voxel of the least x, then y, then z is found.
+the best so far. Distances from points to voxels, in float64, are rounded in one fixed way; if
+several are equal, the voxel of the least x, then y, then z is found.
 
 Kernels: kernels/svo/query.cl, kernels/svo/nearest.cl.
 """

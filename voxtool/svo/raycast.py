@@ -59,8 +59,9 @@ class OctreeScene:
     colour_by: the attribute whose colours they have, or "none"; by default the colour, or else the
         label, if there is one.
     only: names of labels; other voxels are not drawn.
-    other: an octree of the same grid. Of what rays meet first, voxels that only `content` has are
-    drawn in ONLY_HERE, those that only the other has in ONLY_THERE, and those of both in `colour`.
+    other: an octree of the same grid. Among the voxels that rays meet first, those that only
+    `content` has are drawn in ONLY_HERE, those that only the other has in ONLY_THERE, and those of
+    both in `colour`.
     """
 
     kind: ClassVar[str] = "octree"

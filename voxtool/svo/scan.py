@@ -5,7 +5,8 @@ A work-item processes one triangle or, if triangles are large, one tile of a tri
 
 A node of 8 x 8 x 8 voxels is active if a triangle touches it. The set is a bit array in Morton
 order with the number of set bits before each word, which gives the rank of a node in constant time.
-In large grids, the active blocks of 8 x 8 x 8 nodes are found first, and only they have bits.
+In large grids, the active blocks of 8 x 8 x 8 nodes are found first, and only they have bits; in
+larger ones, before these the regions of 8 x 8 x 8 blocks.
 
 Kernels: kernels/svo/scan.cl.
 """
@@ -25,11 +26,11 @@ from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.build import DeviceOctree, code_name
 from voxtool.svo.lattice import LatticeMesh
 from voxtool.svo.layout import BRICK, BRICK_SIDE
-from voxtool.svo.plan import CELL, NODE_BLOCK, VoxelizePlan
+from voxtool.svo.plan import CELL, NODE_BLOCK, REGION, VoxelizePlan
 
 SOURCE = "svo/scan.cl"
 TOUCHED, SEPARATING, CROSSED, COVERED, MET = range(5)  # what a triangle is scan-converted into
-NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, NODE_BLOCK.bit_length() - 1
+NODE_LEVEL = CELL.bit_length() - 1
 BLOCK_WORDS = (NODE_BLOCK // CELL) ** 3 // 32
 
 
@@ -77,13 +78,13 @@ class ActiveNodes:
     """The active level-1 nodes."""
 
     nodes: BitSet
-    blocks: BitSet | None  # the blocks that have words, or None if all have
+    above: tuple[BitSet, ...]  # the blocks that have words, unless all have; before them regions
     tree: DeviceOctree | None = None  # if a node is found in it, and not by its rank
 
     @property
     def lookup(self) -> Lookup:
         """Arguments by which kernels find the rank of a node."""
-        return _lookup(self.blocks, self.nodes.words, self.nodes.ranks, self.tree)
+        return _lookup(self.above, self.nodes.words, self.nodes.ranks, self.tree)
 
 
 class Scan:
@@ -175,35 +176,40 @@ def add_nodes(scan: Scan, nodes: np.ndarray, faces: Array | None = None) -> Acti
 
 def _find(scan: Scan, activate: Callable[[int, Lookup], None]) -> ActiveNodes:
     """Return the level-1 nodes whose bits `activate` sets, of boxes of 2**level voxels."""
-    blocks = None
-    if scan.plan.blocked:
-        words = scan.device.zeros(max((scan.plan.side // NODE_BLOCK) ** 3 // 32, 1), np.uint32)
-        activate(BLOCK_LEVEL, {**_lookup(None, words, words), "target": words})
-        blocks = _collect(scan, words, None)
-        words = scan.device.zeros(BLOCK_WORDS * blocks.n, np.uint32)
-    else:
-        words = scan.device.zeros(max((scan.plan.side // CELL) ** 3 // 32, 1), np.uint32)
-    activate(NODE_LEVEL, {**_lookup(blocks, words, words), "target": words})
-    return ActiveNodes(_collect(scan, words, blocks), blocks)
+    plan = scan.plan
+    sides = [REGION] * (plan.blocked and plan.regions) + [NODE_BLOCK] * plan.blocked + [CELL]
+    sets: tuple[BitSet, ...] = ()
+    above: BitSet | None = None
+    for side in sides:
+        count = BLOCK_WORDS * above.n if above else max((plan.side // side) ** 3 // 32, 1)
+        words = scan.device.zeros(count, np.uint32)
+        activate(side.bit_length() - 1, {**_lookup(sets, words, words), "target": words})
+        above = _collect(scan, words, above)
+        sets = (*sets, above)
+    assert above
+    return ActiveNodes(above, sets[:-1])
 
 
 def _lookup(
-    blocks: BitSet | None, words: Array, ranks: Array, tree: DeviceOctree | None = None
+    above: tuple[BitSet, ...], words: Array, ranks: Array, tree: DeviceOctree | None = None
 ) -> Lookup:
-    above = (blocks.words, blocks.ranks) if blocks else (None, None)
-    found = {"words": words, "ranks": ranks, "block_words": above[0], "block_ranks": above[1]}
+    regions, blocks = (None, None, *above)[-2:]
+    found: Lookup = {"words": words, "ranks": ranks}
+    for name, cells in (("region", regions), ("block", blocks)):
+        found[f"{name}_words"] = cells and cells.words
+        found[f"{name}_ranks"] = cells and cells.ranks
     if tree is None:
         return {**found, "tree": None, "tree_offsets": None, "top": 0}
     offsets = words.device.put(tree.offsets)
     return {**found, "tree": tree.nodes, "tree_offsets": offsets, "top": tree.top}
 
 
-def _collect(scan: Scan, words: Array, blocks: BitSet | None) -> BitSet:
+def _collect(scan: Scan, words: Array, above: BitSet | None) -> BitSet:
     """Return the set with the given bits."""
-    n, above = words.size, blocks.codes if blocks else None
+    n = words.size
     ranks = scan.device.empty(n + 1, np.uint32)
     scan.kernel(SOURCE, "count_bits")(n, words, ranks)
     count = exclusive_scan(ranks, n)
     codes = scan.device.empty(count, scan.code)
-    scan.kernel(SOURCE, "write_mortons")(n, words, ranks, above, codes)
+    scan.kernel(SOURCE, "write_mortons")(n, words, ranks, above and above.codes, codes)
     return BitSet(words, ranks, codes, count)

@@ -29,8 +29,8 @@ def tally_of(attribute: Attribute, side: int) -> Any:
 
 
 class _Votes:
-    """Of labels: how many voxels of a cell have each, as three arrays, cell, label and number,
-    which ascend by cell and label."""
+    """Tallies of labels: the number of voxels of a cell that have each label, as three arrays,
+    cell, label and number, which ascend by cell and label."""
 
     def __init__(self, attribute: Attribute) -> None:
         self.dtype = attribute.values.dtype
@@ -83,8 +83,8 @@ def _merged(cells: np.ndarray, labels: np.ndarray, counts: np.ndarray) -> Any:
 
 
 class _Sums(ABC):
-    """Of numbers: their sums over the voxels of a cell, and how many are summed and how many set,
-    as (n, channels + 2)."""
+    """Tallies of numbers: their sums over the voxels of a cell, the number of voxels that are
+    summed, and the number that are set, as (n, channels + 2)."""
 
     wide: Any = np.uint64
 
@@ -195,7 +195,7 @@ class _Fractions(_Sums):
 
 
 class _Faces(_Fractions):
-    """Of the faces of a cell: sums over those of voxels that lie in them."""
+    """Tallies of the faces of a cell: sums over the faces of voxels that lie in them."""
 
     def of_voxels(self, values: np.ndarray, set_: np.ndarray, own: np.ndarray) -> Any:
         within = values.reshape(*set_.shape, self.channels) * _in_faces(set_.shape[1])

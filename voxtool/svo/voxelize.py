@@ -29,8 +29,6 @@ from voxtool.choices import FILLS, MODES
 from voxtool.errors import GridError, VoxtoolError, count_of
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Job, one_call
-from voxtool.mesh.counts import PROGRAMS as COUNTING
-from voxtool.mesh.counts import check_topology
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.once import once
 from voxtool.mesh.topology import merged_faces, net_faces, volume
@@ -39,11 +37,9 @@ from voxtool.opencl import Array, Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import COMPACTION, RADIX_SORT
 from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
-from voxtool.spatial.fill_rule import UNION, Inside, inside_of_closed
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
 from voxtool.svo.connected.about import about_connected, check_connected
-from voxtool.svo.fill.levels import SOURCE as LEVELS
 from voxtool.svo.fill.rows import (
     CROSSINGS,
     Filled,
@@ -53,18 +49,16 @@ from voxtool.svo.fill.rows import (
     list_crossings,
 )
 from voxtool.svo.fill.rows import SOURCE as ROWS
-from voxtool.svo.fill.winding import NearHoles
-from voxtool.svo.fill.winding import programs as near_holes
-from voxtool.svo.inside import inside_of, net_boundary
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.links import level_states
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import REQUEST, Survey, VoxelizePlan, plan_of
-from voxtool.svo.prune import prune
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import ActiveNodes, Scan, add_nodes, find_active_nodes
 
 if TYPE_CHECKING:
+    from voxtool.mesh.topology import TopologyCheck
+    from voxtool.spatial.fill_rule import Inside
     from voxtool.svo.connected.thin_parts import Bricks
 
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
@@ -175,6 +169,8 @@ class VoxelizeJob(Job[Octree]):
         self.chosen = True
         if self.watertight:
             return "parity", 0
+        from voxtool.svo.inside import inside_of
+
         self.inside = inside_of(self.mesh, self.device)
         self.mesh = self.inside.mesh_of(self.mesh)
         return self.inside.fill, self.inside.gap_in(self._whole)
@@ -184,6 +180,8 @@ class VoxelizeJob(Job[Octree]):
         if not self.plan.checked:
             return
         self.plan = replace(self.plan, checked=False)
+        from voxtool.spatial.fill_rule import UNION, inside_of_closed
+
         inside = inside_of_closed(self._given, self.device)
         assert inside  # the mesh is closed
         self.inside = inside
@@ -257,7 +255,11 @@ class VoxelizeJob(Job[Octree]):
         """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
         whole grid to flood it."""
         counted = fill == "winding" and not self.closed
-        boundary = net_boundary(self.mesh) if counted else None
+        boundary = None
+        if counted:
+            from voxtool.svo.inside import net_boundary
+
+            boundary = net_boundary(self.mesh)
         window = self._flooded if fill == "flood" else self._window
         place = self.mesh, self._whole, window, some, boundary, self.device
         self.lattice = place_mesh(*place, self.bits)
@@ -306,6 +308,8 @@ class VoxelizeJob(Job[Octree]):
         by_rows: list[Request] = [(CROSSINGS, options | ({"LISTED": 1} if plan.listed else {}))]
         by_rows += [sort] * plan.listed
         if plan.caps:
+            from voxtool.svo.fill.winding import programs as near_holes
+
             programs += [*by_rows, *near_holes(plan)]
         if plan.fill == "flood":
             from voxtool.svo.fill.dilation import SOURCE as DILATION
@@ -315,8 +319,15 @@ class VoxelizeJob(Job[Octree]):
             return [*programs, (FLOOD, wide), *[(DILATION, wide), sort] * (plan.gap > 0)]
         programs += [(BUILD, code), (COMPACTION, {"KEY": options["CODE"]})]
         if plan.solid:
-            programs += [*by_rows, (LEVELS if plan.propagation == "levels" else ROWS, code)]
-        return programs + (COUNTING if self.chosen and not self.watertight else [])
+            filling = ROWS
+            if plan.propagation == "levels":
+                from voxtool.svo.fill.levels import SOURCE as filling
+            programs += [*by_rows, (filling, code)]
+        if self.chosen and not self.watertight:
+            from voxtool.mesh.counts import PROGRAMS as COUNTING
+
+            programs += COUNTING
+        return programs
 
     def _run(self) -> Octree:
         octree = self._make()
@@ -337,6 +348,8 @@ class VoxelizeJob(Job[Octree]):
             active = find_active_nodes(scan)
         touched = active.nodes.get() if plan.caps else None
         if touched is not None:
+            from voxtool.svo.fill.winding import NearHoles
+
             with self.stage("holes"):
                 crossings = list_crossings(scan)
                 capped = add_nodes(scan, touched, self.lattice.closing).nodes.get()
@@ -385,7 +398,7 @@ class VoxelizeJob(Job[Octree]):
         low = np.array(self._window[0] if self._window else (0, 0, 0))
         plan = self.plan
         frame = frame_of(self._whole.shape, low, np.array(plan.shape), plan.gap, plan.slabs)
-        return self._octree(*prune(*flood(self.device, self._walls, frame)))
+        return self._pruned(*flood(self.device, self._walls, frame))
 
     def _walls(self, low: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, Array]:
         """Return the active level-1 nodes of a box of the grid, and the bricks with the surface."""
@@ -410,7 +423,12 @@ class VoxelizeJob(Job[Octree]):
             offsets, nodes, masks = tree.offsets, tree.nodes.take(), filled.bricks.take()
         if touched is None:
             return self._octree(offsets, nodes, masks)
-        return self._octree(*prune(codes, level_states(offsets, nodes), masks, touched))
+        return self._pruned(codes, level_states(offsets, nodes), masks, touched)
+
+    def _pruned(self, *states: Any) -> Octree:
+        from voxtool.svo.prune import prune
+
+        return self._octree(*prune(*states))
 
     def _octree(self, offsets: np.ndarray, nodes: np.ndarray, bricks: np.ndarray) -> Octree:
         mode, rule, scene = self.plan.mode, self.plan.rule, self.plan.scene()
@@ -449,7 +467,12 @@ class VoxelizeJob(Job[Octree]):
 
     @property
     def _summary(self) -> str:
-        return once(check_topology)(self._given, self.device).summary()
+        return self._topology(self._given).summary()
+
+    def _topology(self, mesh: Mesh) -> TopologyCheck:
+        from voxtool.mesh.counts import check_topology
+
+        return once(check_topology)(mesh, self.device)
 
     def findings(self, octree: Octree) -> Iterator[str]:
         """Yield warnings: the fill may leak, or the octree is empty."""
@@ -459,7 +482,7 @@ class VoxelizeJob(Job[Octree]):
             "they pass a gap",
         }.get(octree.fill)
         if leak and not self.watertight:
-            found = once(check_topology)(self.mesh, self.device)
+            found = self._topology(self.mesh)
             if octree.fill == "nonzero" or not found.even:
                 yield f"{self._name} is {found.summary()}; {leak}"
         if self._crowded:

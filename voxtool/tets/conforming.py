@@ -19,33 +19,36 @@ from voxtool.opencl.primitives import bucket_sort, exclusive_scan
 from voxtool.tets.cells import CORNERS, quads, templates
 from voxtool.tets.merge import MAX_PAIRS, merged_points
 from voxtool.tets.mesh import ConformingMesh, VolumeCells
-from voxtool.tets.volume import PLANAR
-from voxtool.vector import cross, dot
+from voxtool.tets.volume import FLAT as THINNEST
+from voxtool.tets.volume import PLANAR, largest_square
+from voxtool.vector import cross, difference, dot, triple_product
 
 if TYPE_CHECKING:
     from voxtool.opencl import Array, Device
     from voxtool.tets.merge import MergedPoints
 
 SOURCE = "tets/conforming.cl"
-# Of a cell that is dropped: 6 |V| / longest edge^3; longest edge / longest side of the mesh. Of a
-# determinant of differences whose sign is decided exactly: its size relative to that of its terms,
-# and theirs.
+# A cell is dropped by its height over its largest face / longest edge, twice that face / longest
+# edge^2, and longest edge / longest side of the mesh. The sign of a determinant of differences is
+# decided exactly if it is small relative to its terms, or they are small.
 LIMITS = {
     "FLATTEST": 1e-14,
+    "NEEDLE": 2.0**-30,
     "SMALLEST": 2.0**-40,
     "ROUNDING": 8 * 2.0**-53,
     "LEAST_MAGNITUDE": 2.0**-900,
     "PLANAR": PLANAR,
 }
 # The shape of a cell: the sign of its volume plus 1 in the lowest bits, and what else was found.
-SIGN, FLAT, DOUBTFUL, BENT = 3, 4, 8, 16
+SIGN, FLAT, DOUBTFUL, BENT, THIN = 3, 4, 8, 16, 32
 OUTCOMES = KEPT, TURNED, DUPLICATE, ZERO_VOLUME, TOO_FLAT = range(5)  # what becomes of a cell
 
 HEADERS = {
     "tets/conforming.h": "\n".join(
         (
             *(f"#define {name} {value.hex()}" for name, value in LIMITS.items()),
-            program.c_constants(SIGN=SIGN, FLAT=FLAT, DOUBTFUL=DOUBTFUL, BENT=BENT),
+            program.c_constants(SIGN=SIGN, FLAT=FLAT, DOUBTFUL=DOUBTFUL, BENT=BENT, THIN=THIN),
+            f"#define THINNEST {THINNEST.hex()}",
             program.c_constants(
                 KEPT=KEPT, TURNED=TURNED, DUPLICATE=DUPLICATE, ZERO_VOLUME=ZERO_VOLUME,
                 TOO_FLAT=TOO_FLAT,
@@ -61,6 +64,7 @@ class ConformingCells:
 
     vertices, scalars, constant, report : as there.
     cells : uint32, the `corners` vertices of each of `count` cells.
+    thin : whether a tetrahedron is so flat that float32 does not give its height.
     """
 
     vertices: np.ndarray
@@ -69,6 +73,7 @@ class ConformingCells:
     count: int
     scalars: np.ndarray
     constant: bool
+    thin: bool
     report: dict[str, Any]
 
     def on_host(self) -> ConformingMesh:
@@ -77,6 +82,13 @@ class ConformingCells:
         return ConformingMesh(
             self.vertices, cells.reshape(-1, self.corners), self.scalars, self.constant, self.report
         )
+
+    def heights(self, scale: float) -> np.ndarray:
+        """Return the height of each tetrahedron over its largest face, in units of `scale`, a power
+        of two; (T,) float64, to rounding."""
+        corners = self.vertices[self.cells.get(0, 4 * self.count).reshape(-1, 4)] / scale
+        corners = corners.swapaxes(0, 1)
+        return six_volumes(corners) / np.sqrt(largest_square(corners))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +123,9 @@ def tetrahedra(
     """Return cells as tetrahedra; points are merged as by `merged_points`.
 
     Hexahedra, wedges and pyramids are split. A tetrahedron is dropped if it repeats a vertex or
-    another tetrahedron, if its volume is zero (exactly, or 6 |V| <= 1e-14 longest edge^3), or if
-    its longest edge is at most 2^-40 of the mesh's longest side. A negative volume is turned over.
+    another tetrahedron, if its volume is zero, if its height over its largest face is at most 1e-14
+    of its longest edge, if it is a needle narrower than about 2^-30 of it, or if that edge is at
+    most 2^-40 of the mesh's longest side. A negative volume is turned over.
     The report counts all of it.
 
     Raises
@@ -127,7 +140,9 @@ def tetrahedra(
     shapes = tetrahedron_shapes(cells.cells, cells.count, unit)
     outcomes = _judged(device, cells, shapes, _repeated(device, cells, len(unit)))
     ends = np.cumsum([block.pieces for block in blocks])
-    return _kept(device, found, merged, cells, outcomes, _report(blocks, outcomes, ends))
+    report = _report(blocks, outcomes, ends) | _held(found, merged, cells, outcomes)
+    thin = bool((shapes.get()[np.isin(outcomes.on_host, (KEPT, TURNED))] & THIN).any())
+    return _kept(device, found, merged, cells, outcomes, report, thin)
 
 
 def hexahedra(
@@ -168,7 +183,7 @@ def hexahedra(
     _refuse_some(found.name, bent & (repeated.get() == 0), "are not convex with planar faces", hint)
     outcomes = _judged(device, cells, shapes, repeated)
     report = _report([block], outcomes, np.array([block.count]))
-    return _kept(device, found, merged, cells, outcomes, report)
+    return _kept(device, found, merged, cells, outcomes, report, False)
 
 
 def _refuse_some(name: str, bad: np.ndarray, what: str, hint: str) -> None:
@@ -250,9 +265,15 @@ def tetrahedron_shapes(cells: Array, count: int, points: np.ndarray) -> Array:
     if len(doubtful):  # rounding might have changed their signs
         vertices = cells.get().reshape(-1, 4)[doubtful]
         signs = np.array([_exact_sign(points[cell]) for cell in vertices])
-        shape[doubtful] = shape[doubtful] & FLAT | (signs + 1).astype(np.uint8)
+        shape[doubtful] = shape[doubtful] & (FLAT | THIN) | (signs + 1).astype(np.uint8)
         device.write(shapes, shape)
     return shapes
+
+
+def six_volumes(corners: np.ndarray) -> np.ndarray:
+    """Return six times the volume of tetrahedra of (4, T, 3) corners, (T,) float64, to rounding."""
+    edges = [difference(corner.T, corners[0].T) for corner in corners[1:]]
+    return np.abs(triple_product(*edges))
 
 
 def _exact_sign(corners: np.ndarray) -> int:
@@ -314,13 +335,32 @@ def _report(blocks: list[_Block], outcomes: _Outcomes, ends: np.ndarray) -> dict
     }
 
 
+def _held(
+    found: VolumeCells, merged: MergedPoints, cells: _Cells, outcomes: _Outcomes
+) -> dict[str, Any]:
+    """Return the volume and the range of scalars of the tetrahedra that are dropped as too flat."""
+    flat = np.flatnonzero(outcomes.on_host == TOO_FLAT)
+    if not len(flat):
+        return {}
+    corners = cells.cells.get().reshape(-1, 4)[flat]
+    unit = merged.points[corners].swapaxes(0, 1)
+    power = int(np.frexp(np.abs(merged.points).max())[1])
+    with np.errstate(over="ignore"):  # infinite beyond float64
+        volume = float(np.ldexp((six_volumes(np.ldexp(unit, -power)) / 6).sum(), 3 * power))
+    scalars = merged.scalars[cells.sources.get()[flat] if found.constant else corners]
+    return {
+        "flat_volume": volume, "flat_scalars": [float(scalars.min()), float(scalars.max())]
+    }  # fmt: skip
+
+
 def _kept(
     device: Device,
     found: VolumeCells,
     merged: MergedPoints,
     cells: _Cells,
     outcomes: _Outcomes,
-    report: dict[str, int],
+    report: dict[str, Any],
+    thin: bool,
 ) -> ConformingCells:
     """Return the cells that stay, with the vertices that they use."""
     kept, corners = outcomes.kept, cells.corners
@@ -343,5 +383,6 @@ def _kept(
         kept,
         merged.scalars[sources.take() if found.constant else used],
         found.constant,
+        thin,
         {**merged.report, **report},
     )

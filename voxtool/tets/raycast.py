@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.opencl import program
-from voxtool.tets.view import cells_at, ray_entries, set_up_cells
-from voxtool.tets.volume import BLOCK, ON_PLANE
+from voxtool.tets.view import eye_cells, ray_entries, set_up_cells
 
 if TYPE_CHECKING:
     from voxtool.tets.integrate import Integral
@@ -45,13 +44,11 @@ def cast(
     MemoryLimitError : the device has no memory for a frame, or rays enter the volume more than
         `max_entries` times.
     """
-    device, eye = on_device.device, view.rays.origin
-    inside = view.rays.perspective and bool((np.abs(eye) <= 1 + ON_PLANE).all())
-    eye_cells = cells_at(volume, eye) if inside else np.zeros(0, np.int64)
-    eye_cells = eye_cells[shown.kept[eye_cells // BLOCK]].astype(np.uint32)
-    slots = MANY_SLOTS if inside or volume.layout == "hexahedra" else SLOTS
+    device = on_device.device
+    slots = MANY_SLOTS if view.inside or volume.layout == "hexahedra" else SLOTS
     records = set_up_cells(on_device, shown, view, slots)
-    ends, entries = ray_entries(on_device, shown, view, max_entries)
+    projected = on_device.project_vertices(view)
+    ends, entries = ray_entries(on_device, shown, view, projected, max_entries)
     width, height = view.rays.size
     tiles, lanes = -(-width // 4) * -(-height // 4), integral.lanes
     with device.stage("ray casting"):
@@ -64,8 +61,7 @@ def cast(
             records=records,
             ends=ends,
             entries=entries,
-            eye_cells=device.put(eye_cells),
-            eye_count=len(eye_cells),
+            **eye_cells(volume, shown, view),
             picture=picture,
             local=1 if lanes > 1 else 64,
         )

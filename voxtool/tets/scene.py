@@ -11,13 +11,22 @@ import numpy as np
 
 from voxtool.camera import checked_colour
 from voxtool.choices import METHODS
-from voxtool.errors import VoxtoolError, printable
+from voxtool.errors import VoxtoolError, human, printable
 from voxtool.tets.integrate import TABLE, Integral, integrator_of
 from voxtool.tets.project import MAX_PAIRS, PENDING, CellProjection, Projection
 from voxtool.tets.raycast import cast
 from voxtool.tets.surfaces import Surfaces, surfaces_of
 from voxtool.tets.transfer import LocalTransfer, TransferFunction, default_transfer
-from voxtool.tets.view import MAX_ENTRIES, DeviceVolume, ShownCells, Viewpoint, kept_cells
+from voxtool.tets.view import (
+    MAX_ENTRIES,
+    DeviceVolume,
+    ShownCells,
+    Viewpoint,
+    are_skewed,
+    kept_cells,
+    part_of,
+)
+from voxtool.tets.walk import walk
 
 if TYPE_CHECKING:
     from voxtool.camera import Rays
@@ -26,6 +35,7 @@ if TYPE_CHECKING:
 
 
 TRANSPARENT = "transparent cells"
+STEEP = 32.0  # extinction per local length; the largest by which float32 draws
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -106,11 +116,20 @@ class VolumeScene:
         return self.shown_through.local(self.content)
 
     @cached_property
+    def walks(self) -> bool:
+        """True if extinction is so steep that pictures are drawn in float64, by either method."""
+        linear = self.integrator == "linear" and self.content.layout != "hexahedra"
+        return linear and self.local.steepest > STEEP
+
+    @cached_property
     def blocks(self) -> np.ndarray:
         """(blocks,) bool: the blocks of cells that are drawn."""
         if self.kept is not None:
             return self.kept
-        shown = ~self.local.transparent(*self.content.ranges.T)
+        low, high = self.content.ranges.T
+        if self.walks:  # points are not rounded to float32
+            low, high = np.nextafter(low, np.float32(-1)), np.nextafter(high, np.float32(2))
+        shown = ~self.local.transparent(low, high)
         return shown | self.surfaces.blocks(self.content) if self.surfaces else shown
 
     @cached_property
@@ -118,10 +137,18 @@ class VolumeScene:
         """The number of cells in these blocks."""
         return int(np.count_nonzero(kept_cells(self.content, self.blocks)))
 
+    @cached_property
+    def drawn(self) -> TetVolume:
+        """The volume that is on the device: the part that is drawn if that is less than half."""
+        few = 0 < 2 * self.cells_shown < len(self.content.cells)
+        return part_of(self.content, self.blocks) if few else self.content
+
     @property
     def stages(self) -> tuple[str, ...]:
         """The stages of drawing, in order."""
         table = ("preintegrate",) if self.integrator == "preintegrated" else ()
+        if self.walks:
+            return ("upload", "ray entries", "ray walking")
         if self.method == "projection":
             return ("upload", *table, "cell projection", "tile lists", "compositing")
         return ("upload", *table, "cell setup", "ray entries", "ray casting")
@@ -132,7 +159,16 @@ class VolumeScene:
         out, count = {}, len(self.content.cells)
         if self.cells_shown < count:
             hidden = count - self.cells_shown
-            out[TRANSPARENT] = f"the transfer function leaves {hidden:,} of {count:,} transparent"
+            less = sum(self.content.sizes().values()) - sum(self.drawn.sizes().values())
+            saved = f"; {human(less)} of textures are not uploaded" if less else ""
+            out[TRANSPARENT] = (
+                f"the transfer function leaves {hidden:,} of {count:,} transparent{saved}"
+            )
+        if self.walks:
+            out[f"{self.method} in float32"] = (
+                f"extinctions are up to {self.local.steepest:.3g} per local length, and more than "
+                f"{STEEP:g} shows its rounding"
+            )
         if self.integrator != "preintegrated":
             out["pre-integrated table"] = f"the integrator is {self.integrator}"
         return out
@@ -145,8 +181,9 @@ class VolumeScene:
     @property
     def device_bytes(self) -> int:
         """Bytes on the device: the textures, and the records of cells and vertices for a view."""
-        volume = self.content
-        view = 64 * len(volume.cells) + 16 * len(volume.vertices)
+        volume = self.drawn
+        cell, vertex = (8, 32) if self.walks else (64, 16)
+        view = cell * len(volume.cells) + vertex * len(volume.vertices)
         return sum(volume.sizes().values()) + view
 
     def points(self) -> np.ndarray:
@@ -159,21 +196,44 @@ class VolumeScene:
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
         """Return the picture, (H, W, 4) float32, premultiplied: one value a ray."""
+        if self.walks or are_skewed(rays):
+            return self._walk(rays, device)
         if self.method == "projection":
             return self.project(rays, device).picture
-        return cast(self.content, *self._on_device(rays, device), self.max_entries)
+        return cast(self.drawn, *self._on_device(rays, device), self.max_entries)
+
+    def _walk(self, rays: Rays, device: Device) -> np.ndarray:
+        """Return the picture in float64, by either method.
+
+        Raises
+        ------
+        VoxtoolError : another integrator than "linear", or cells that are no tetrahedra.
+        """
+        if self.integrator != "linear" or self.content.layout == "hexahedra":
+            raise VoxtoolError(
+                "rays whose right and down are not perpendicular to each other and to the "
+                "direction need tetrahedra and the integrator linear: choose these, or other rays"
+            )
+        volume, shown = self.shown_on(device)
+        view = Viewpoint.of(self.local_rays(rays), self.content, device, exact=True)
+        return walk(self.drawn, volume, shown, view, self.local, self.surfaces, self.max_entries)
 
     def project(self, rays: Rays, device: Device) -> Projection:
         """Return the picture by cell projection, and the work that it took."""
         cells = self._on_device(rays, device)
         return CellProjection(*cells, pending=self.pending, max_pairs=self.max_pairs).run()
 
+    def shown_on(self, device: Device) -> tuple[DeviceVolume, ShownCells]:
+        """Return the volume on a device, and its drawn cells."""
+        volume = DeviceVolume.of(self.drawn, device)
+        kept = self.blocks if self.drawn is self.content else np.ones(len(self.drawn.ranges), bool)
+        return volume, volume.shown(self.drawn, kept)
+
     def _on_device(
         self, rays: Rays, device: Device
     ) -> tuple[DeviceVolume, ShownCells, Viewpoint, Integral]:
         """Return the volume, its drawn cells, the viewpoint and the integrator on a device."""
-        volume = DeviceVolume.of(self.content, device)
-        shown = volume.shown(self.content, self.blocks)
+        volume, shown = self.shown_on(device)
         integral = Integral(
             self.content, self.local, volume, self.integrator, self.lanes, self.table,
             self.surfaces, self.buckets,

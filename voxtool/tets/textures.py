@@ -106,6 +106,9 @@ class VolumeJob(Job[TetVolume]):
         with self.stage(order):
             frame = _frame(found, self.found)
             cells = _ordered(self.device, found, frame, plan.floats)
+            heights = None
+            if found.thin:
+                heights = found.heights(frame.scale)[cells.items.get(), None].astype(np.float32)
         report = found.report
         del found  # frees its cells
         with self.stage(neighbours):
@@ -117,13 +120,14 @@ class VolumeJob(Job[TetVolume]):
             ranges = _ranges(cells, slopes)
         errors = {"plane_error": plane_error, "scalar_error": scalar_error}
         textures = {"neighbours": across, "normals": normals, "gradients": slopes, "ranges": ranges}
-        return self._volume(frame, cells, textures, {**report, **counts}, errors)
+        return self._volume(frame, cells, textures, heights, {**report, **counts}, errors)
 
     def _volume(
         self,
         frame: Frame,
         cells: OrderedCells,
         textures: dict[str, Array],
+        heights: np.ndarray | None,
         counts: dict[str, Any],
         errors: dict[str, float],
     ) -> TetVolume:
@@ -146,6 +150,7 @@ class VolumeJob(Job[TetVolume]):
             (frame.low, frame.high),
             mesh.scalar,
             mesh.constant,
+            heights,
             mesh.units,
             mesh.source_sha256,
             self.plan.scene(),

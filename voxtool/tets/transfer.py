@@ -22,6 +22,7 @@ from voxtool.vector import cross, dot
 
 MOST_POINTS = 255
 ROW = 16  # floats of an interval
+EXACT_ROW = 10  # numbers of an interval in float64
 FARTHEST = 1e300  # scalar: differences must not overflow
 LARGEST = 1e30  # extinction that float32 holds with room for products
 TINY = 1e-30  # smaller numbers count as 0 on the device: no denormals
@@ -153,10 +154,12 @@ class TransferFunction(Data):
             )
         low, high = volume.scalar_range
         shown = self._within(low, high)
-        points = (shown.scalars - low) / ((high - low) or 1.0)
-        points = np.where(points < TINY, 0, points).astype(np.float32)
-        values = np.column_stack([shown.colours, shown.extinctions * volume.scale])
-        values = np.where(values < TINY, 0, values).astype(np.float32)
+        reach = (high - low) or 1.0
+        at = (shown.scalars - low) / reach
+        points = np.where(at < TINY, 0, at).astype(np.float32)
+        full = np.column_stack([shown.colours, shown.extinctions * volume.scale])
+        full = np.where(full < TINY, 0, full)
+        values = full.astype(np.float32)
         below = np.concatenate([[0], np.arange(len(points))])
         above = np.minimum(below + 1, len(points) - 1)
         above[0] = 0
@@ -167,7 +170,12 @@ class TransferFunction(Data):
         rows[wide, 1] = 1 / width[wide]
         rows[:, 2:6] = values[below]
         rows[wide, 6:10] = values[above][wide] - values[below][wide]
-        return LocalTransfer(points, rows)
+        exact = np.empty((len(points) + 1, EXACT_ROW))
+        exact[:, 0] = at[below]
+        exact[:, 1] = (shown.scalars[above] - shown.scalars[below]) / reach
+        exact[:, 2:6] = full[below]
+        exact[:, 6:] = full[above] - full[below]
+        return LocalTransfer(points, rows, exact)
 
     def _within(self, low: float, high: float) -> TransferFunction:
         """Return a function that is the same from low to high and constant elsewhere: points far
@@ -213,10 +221,18 @@ class LocalTransfer:
     points : (K,) float32, the scalars of the control points.
     rows : (K + 1, ROW) float32, one for each interval, the first below all points: the scalar at
         its low end; 1 / width; red, green, blue and extinction there; how they change to its end.
+    exact : (K + 1, EXACT_ROW) float64, the same with the width of the interval itself, which is not
+        0 where points are equal only by rounding.
     """
 
     points: np.ndarray
     rows: np.ndarray
+    exact: np.ndarray
+
+    @property
+    def steepest(self) -> float:
+        """The largest extinction per local length."""
+        return float(self.exact[:, 5].max())
 
     def below(self, parts: int) -> np.ndarray:
         """Return the number of control points below each of so many equal parts of [0, 1], (parts,)
@@ -234,7 +250,7 @@ class LocalTransfer:
         begins = (last > 0) & (high == self.points[last - 1]) & (start[last] == 0)
         last = np.where(begins, last, last + 1)
         seen = (start != 0) | (change != 0)
-        seen[1:-1] &= self.points[1:] > self.points[:-1]  # a step holds no scalar
+        seen[1:-1] &= self.exact[1:-1, 1] > 0  # a step holds no scalar
         before = np.concatenate([[0], np.cumsum(seen)])
         return before[last] == before[first]
 

@@ -9,16 +9,17 @@ Kernels: kernels/tets/view.cl.
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.tets.volume import BLOCK, FACES, ON_PLANE
-from voxtool.vector import cross, dot
+from voxtool.vector import cross, dot, unit
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,6 +32,7 @@ SOURCE = "tets/view.cl"
 MAX_ENTRIES = (1 << 31) - 1
 MAX_SHOWN = 4  # sets of cells whose exposed faces are kept
 NEAREST = 0.5  # of the middle to the eye, in sizes of the local frame
+SKEWED = 1e-7  # cosines that count as 0
 
 
 class DeviceVolume:
@@ -59,6 +61,7 @@ class DeviceVolume:
             self.options["ANCHORED"] = 1
         self._shown: OrderedDict[bytes, ShownCells] = OrderedDict()
         self._longest: float | None = None
+        self._volumes: Array | None = None
 
     @staticmethod
     def of(volume: TetVolume, device: Device) -> DeviceVolume:
@@ -95,13 +98,21 @@ class DeviceVolume:
             self._longest = float(np.sqrt(square))
         return self._longest
 
+    def volumes(self, volume: TetVolume) -> Array:
+        """Return six times the volume of each tetrahedron on the device, (T,) float64."""
+        if self._volumes is None:
+            self._volumes = self.device.put(volume.six_volumes())
+        return self._volumes
+
     def kernel(self, name: str, **options: int | str) -> Callable[..., None]:
         """Return a kernel of view.cl for these textures."""
         return self.device.kernel(SOURCE, name, **self.options, **options)
 
     def project_vertices(self, view: Viewpoint) -> Array:
-        """Return the position of each vertex in the picture, and its depth, (V, 4) float32."""
-        projected = self.device.empty(4 * self.vertices, np.float32)
+        """Return the position of each vertex in the picture, and its depth, (V, 4) float32, or
+        float64 if the viewpoint is exact."""
+        kind = np.float64 if "EXACT" in view.options else np.float32
+        projected = self.device.empty(4 * self.vertices, kind)
         project = self.kernel("project_vertices", **view.options)
         project(self.vertices, **self.arguments, **view.arguments, projected=projected)
         return projected
@@ -132,9 +143,15 @@ class Viewpoint:
     arguments: dict[str, Any]
     options: dict[str, int | str]
 
+    @property
+    def inside(self) -> bool:
+        """True if there is an eye, and it is in the volume's box."""
+        return self.rays.perspective and bool((np.abs(self.rays.origin) <= 1 + ON_PLANE).all())
+
     @staticmethod
-    def of(local: Rays, volume: TetVolume, device: Device) -> Viewpoint:
-        """Return the viewpoint of rays in the volume's frame.
+    def of(local: Rays, volume: TetVolume, device: Device, exact: bool = False) -> Viewpoint:
+        """Return the viewpoint of rays in the volume's frame; if `exact`, vertices are projected in
+        float64.
 
         Raises
         ------
@@ -150,9 +167,18 @@ class Viewpoint:
         if local.perspective:
             middle = max(-float(dot(local.origin, local.direction)), NEAREST)
         sides = volume.faces.astype(np.uint8)
-        if dot(cross(local.right, local.down), local.direction) < 0:  # a mirrored picture
+        if volume_of(local) < 0:  # a mirrored picture
             sides = sides[:, ::-1]
-        numbers = [*local.origin, *local.direction, *local.right, *local.down, middle]
+        basis = np.stack([local.right, local.down, local.direction])
+        dual = np.stack([cross(basis[i - 2], basis[i - 1]) for i in range(3)]) / volume_of(local)
+        numbers = [
+            *local.origin,
+            *local.direction,
+            *local.right,
+            *local.down,
+            middle,
+            *dual.ravel(),
+        ]
         arguments = {
             "viewpoint": device.put(np.array(numbers)),
             "sides": device.put(sides),
@@ -163,7 +189,21 @@ class Viewpoint:
             "width": width,
             "height": height,
         }
-        return Viewpoint(local, arguments, {"PERSPECTIVE": 1} if local.perspective else {})
+        decisions = {"PERSPECTIVE": local.perspective, "EXACT": exact}
+        return Viewpoint(local, arguments, {name: 1 for name, on in decisions.items() if on})
+
+
+def volume_of(rays: Rays) -> float:
+    """Return the volume that right, down and direction span, negative in a mirrored picture."""
+    return float(dot(cross(rays.right, rays.down), rays.direction))
+
+
+def are_skewed(rays: Rays) -> bool:
+    """Return True if right, down and direction are not perpendicular to each other within SKEWED,
+    or the direction is no unit vector."""
+    right, down, way = unit(rays.right), unit(rays.down), rays.direction
+    products = dot(right, down), dot(right, way), dot(down, way), dot(way, way) - 1
+    return bool(max(map(abs, products)) > SKEWED)
 
 
 def set_up_cells(volume: DeviceVolume, shown: ShownCells, view: Viewpoint, slots: int) -> Array:
@@ -179,7 +219,7 @@ def set_up_cells(volume: DeviceVolume, shown: ShownCells, view: Viewpoint, slots
 
 
 def ray_entries(
-    volume: DeviceVolume, shown: ShownCells, view: Viewpoint, max_entries: int
+    volume: DeviceVolume, shown: ShownCells, view: Viewpoint, projected: Array, max_entries: int
 ) -> tuple[Array, Array]:
     """Return where rays enter the drawn cells, as `ends` and `entries`: those of pixel p are
     entries[ends[p - 1]] to entries[ends[p]], sorted by depth; entries, (n, 2) uint32, have the bits
@@ -197,7 +237,7 @@ def ray_entries(
             **volume.arguments,
             **view.arguments,
             "exposed": shown.exposed,
-            "projected": volume.project_vertices(view),
+            "projected": projected,
         }
         volume.kernel("count_entries", **view.options)(faces, **arguments, counts=ends)
         found = int(ends.get(0, pixels).sum(dtype=np.uint64))
@@ -214,9 +254,46 @@ def ray_entries(
     return ends, entries
 
 
+def part_of(volume: TetVolume, kept: np.ndarray) -> TetVolume:
+    """Return the volume of the blocks of cells that are kept, at least one; the last few results
+    are reused. Its cells and vertices keep their order, so its pictures are those of the volume."""
+    parts, key = _PARTS.setdefault(volume, OrderedDict()), kept.tobytes()
+    if key not in parts:
+        cells = kept_cells(volume, kept)
+        corners = volume.cells[cells]
+        used = np.zeros(len(volume.vertices), bool)
+        used[corners] = True
+        numbers, places = (np.cumsum(flags, dtype=np.int32) - 1 for flags in (used, cells))
+        places = np.append(np.where(cells, places, -1), -1).astype(np.int32)  # -1 is the last
+        if len(parts) == MAX_SHOWN:
+            parts.popitem(last=False)
+        parts[key] = replace(
+            volume,
+            vertices=volume.vertices[used],
+            cells=numbers[corners],
+            neighbours=places[volume.neighbours[cells]],
+            normals=volume.normals[:, cells],
+            gradients=volume.gradients[cells],
+            anchors=None if volume.anchors is None else numbers[volume.anchors[cells]],
+            ranges=volume.ranges[kept],
+            heights=None if volume.heights is None else volume.heights[cells],
+        )
+    return parts[key]
+
+
+_PARTS: WeakKeyDictionary[TetVolume, OrderedDict[bytes, TetVolume]] = WeakKeyDictionary()
+
+
 def kept_cells(volume: TetVolume, kept: np.ndarray) -> np.ndarray:
     """Return which cells are in the blocks that are kept, (T,) bool."""
     return np.repeat(kept, BLOCK)[: len(volume.cells)]
+
+
+def eye_cells(volume: TetVolume, shown: ShownCells, view: Viewpoint) -> dict[str, Any]:
+    """Return the drawn cells that contain the eye, as arguments of kernels."""
+    found = cells_at(volume, view.rays.origin) if view.inside else np.zeros(0, np.int64)
+    found = found[shown.kept[found // BLOCK]].astype(np.uint32)
+    return {"eye_cells": shown.flags.device.put(found), "eye_count": len(found)}
 
 
 def cells_at(volume: TetVolume, point: np.ndarray) -> np.ndarray:

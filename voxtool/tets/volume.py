@@ -26,6 +26,7 @@ from voxtool.errors import FileError
 from voxtool.opencl import program
 from voxtool.tets.cells import HEXAHEDRON_FACES, TETRAHEDRON_FACES, repeats
 from voxtool.tets.packing import layers_for, rows_for, width_for
+from voxtool.vector import cross, dot
 
 BLOCK = 64  # consecutive cells that share a range of scalars
 FACES = {
@@ -42,6 +43,7 @@ COMPARED = {
 
 PLANAR = 1e-5  # of a hexahedron's size: how far at most its vertices are from their plane
 STEEPEST = 1e30  # gradient, normalised and local: float32 has room for products with it
+FLAT = 2.0**-6  # of a tetrahedron's longest edge: where one has a smaller height, all are held
 ROUNDED = 2.0**-20  # how far at most a vertex is from its plane, both in float32
 
 PLANE_BITS = 21
@@ -70,6 +72,9 @@ class TetVolume(Data):
         Gradient of the normalised scalar in local coordinates, and scalar term.
     anchors : (T, 2) int32 for projection, else None
         Vertices 0 and 1 of the cell.
+    heights : (T, 1) float32, or None
+        Height of each tetrahedron over its largest face, local, from unrounded positions; None
+        where none is so flat that rounded vertices do not give it (FLAT), and of hexahedra.
     ranges : (ceil(T / 64), 2) float32
         Least and largest normalised scalar of each block of 64 consecutive cells.
     origin : (float, float, float)
@@ -103,6 +108,7 @@ class TetVolume(Data):
     scalar_range: tuple[float, float]
     scalar: str
     constant: bool
+    heights: np.ndarray | None = None
     units: str = ""
     source_sha256: str = ""
     plan: dict[str, Any] = field(default_factory=dict)
@@ -152,7 +158,8 @@ class TetVolume(Data):
     def arrays(self) -> dict[str, np.ndarray]:
         """Every texture by its name."""
         names = ("vertices", "cells", "neighbours", "normals", "gradients", "ranges", "anchors")
-        return {name: array for name in names if (array := getattr(self, name)) is not None}
+        found = {name: getattr(self, name) for name in (*names, "heights")}
+        return {name: array for name, array in found.items() if array is not None}
 
     def sizes(self) -> dict[str, int]:
         """Bytes of each texture."""
@@ -212,6 +219,15 @@ class TetVolume(Data):
         }
         return digest_of(head, *self.arrays().values())
 
+    def six_volumes(self) -> np.ndarray:
+        """Return six times the volume of each tetrahedron, (T,) float64, local: by its height where
+        that is held, and the largest face of its vertices."""
+        corners = self.vertices[self.cells, :3].astype(np.float64).swapaxes(0, 1)
+        if self.heights is not None:
+            return self.heights[:, 0] * np.sqrt(largest_square(corners))
+        a, b, c, d = corners
+        return dot(b - a, cross(c - a, d - a))
+
     def block_ranges(self) -> np.ndarray:
         """Return the range of normalised scalars of each block of cells, (ceil(T / 64), 2)."""
         scalars = self.vertices[:, 3][self.cells]
@@ -267,6 +283,8 @@ class TetVolume(Data):
         }
         if self.layout == "projection":
             expected["anchors"] = ((count, 2), np.int32)
+        if self.heights is not None and self.layout != "hexahedra":
+            expected["heights"] = ((count, 1), np.float32)
         arrays = self.arrays()
         if arrays.keys() != expected.keys() or count == 0:
             raise FileError(f"volume: {count} cells with {', '.join(arrays)}")
@@ -282,6 +300,8 @@ class TetVolume(Data):
             raise FileError("volume vertices: positions in [-1, 1], scalars in [0, 1] are expected")
         if not (np.abs(self.normals) <= 2).all():
             raise FileError("volume normals: unit normals and offsets are expected")
+        if self.heights is not None and not ((self.heights > 0) & (self.heights <= 4)).all():
+            raise FileError("volume heights: positive local lengths are expected")
         if not (np.abs(self.gradients) <= STEEPEST).all():
             raise FileError(f"volume gradients: numbers up to {STEEPEST:g} are expected")
         if not (self.ranges[:, 0] <= self.ranges[:, 1]).all() or not _in_unit(self.ranges):
@@ -347,6 +367,16 @@ class TetVolume(Data):
         steep = np.abs(a) + np.abs(b) + np.abs(c)
         if (np.abs(value - s) > ROUNDED * (1 + steep)).any():
             raise FileError("volume gradients: they do not give the scalars of the vertices")
+
+
+def largest_square(corners: np.ndarray) -> np.ndarray:
+    """Return the square of twice the area of the largest face of tetrahedra, (T,), by the positions
+    of their corners, (4, T, 3)."""
+    found = np.zeros(corners.shape[1])
+    for i, j, k in TETRAHEDRON_FACES:
+        normal = cross(corners[j] - corners[i], corners[k] - corners[i])
+        found = np.maximum(found, dot(normal, normal))
+    return found
 
 
 def _in_unit(values: np.ndarray) -> bool:

@@ -1,8 +1,9 @@
 """Operations on octrees that are larger than the memory that they may take, window by window.
 
-A window is a cube of the result's grid (subtree.py). Of each octree only what can change a window
-is read (svo/cells.py), and the operation is that of octrees in memory. A cube that is wholly empty
-or full is not read at all; a window that does not fit after all is divided in eight.
+A window is a cube of the result's grid (subtree.py). Only those parts of each octree that can
+change a window are read (svo/cells.py), and the operation is that of octrees in memory. A cube that
+is wholly empty or full is not read at all; a window that does not fit after all is divided in
+eight.
 """
 
 from __future__ import annotations

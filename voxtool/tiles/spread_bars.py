@@ -38,7 +38,7 @@ class SpreadBarsPlan(BarsPlan):
 
     @property
     def makers(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """How they are made, in the rows."""
+        """The words of the rows that say who makes the bars."""
         return f"made by {count_of(self.workers, 'worker')} of Dask"
 
     def as_dict(self) -> dict[str, Any]:

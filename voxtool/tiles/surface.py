@@ -21,17 +21,24 @@ from voxtool.choices import MARCHING_CUBES, SHARP
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.files.spool import Piece, Spool
 from voxtool.job import Cost, Job
-from voxtool.memory import available_memory
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Device
 from voxtool.svo.cells import AROUND, Cells
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
 from voxtool.svo.surface.blocks import BlockSurface
-from voxtool.svo.surface.cut_cells import Sampling, find_tiles, lost_of, tree_of
-from voxtool.svo.surface.extract import is_much, losses, plan_of, plan_unread, surface_of
+from voxtool.svo.surface.cut_cells import find_tiles, lost_of
+from voxtool.svo.surface.extract import (
+    fits_whole,
+    is_much,
+    losses,
+    plan_of,
+    plan_unread,
+    surface_of,
+)
 from voxtool.svo.surface.isosurface import LATTICE, Lost, six_volumes
 from voxtool.svo.surface.plan import ExtractionPlan
+from voxtool.svo.surface.samples import Sampling, tree_of
 
 TILE = 4  # samples along a side
 # Tiles beside a window on which its part of the surface depends: vertices are numbered in adjacent
@@ -216,8 +223,11 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         tree = tree_of(local)
         plan = self._window_plan(tuple(tree.count(number) for number in range(tree.top + 1)))
 
+        known: dict[str, int] = {}
+
         def counted(**numbers: int) -> None:
-            replace(plan, **numbers).refuse_beyond(self.limit, device.info.max_allocation)
+            known.update(numbers)
+            replace(plan, **known).refuse_beyond(self.limit, device.info.max_allocation)
 
         counted()
         along = cells.side // (TILE * self.sampling.side)  # tiles
@@ -250,7 +260,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
             self.store.put(points[low:high]),
             self.store.put(faces.reshape(-1, 3).astype(np.uint32)),
             _places(cells, cell, outer + low, vertices, codes, along),
-            (codes[own][sides] - np.uint32(core[0]), vertices[own][sides] - low),
+            (codes[own][sides] - np.uint64(core[0]), vertices[own][sides] - low),
         )
 
 
@@ -260,9 +270,7 @@ def plan_windows(
     """Return the job of an extraction in windows, or None if it fits in memory as a whole, or if
     its style or its windows do not allow it."""
     whole = plan_unread(octree, **request)
-    most = device.max_memory if max_memory is None else max_memory
-    fits = whole.fits(most, device.info.max_allocation)
-    if whole.style == SHARP or whole.merge or (fits and 2 * octree.nbytes <= available_memory()):
+    if whole.style == SHARP or whole.merge or fits_whole(octree, whole, device, max_memory):
         return None
     with suppress(MemoryLimitError):
         return SurfaceWindowsJob(octree, whole, device, max_memory)

@@ -1,4 +1,4 @@
-"""What the workers of a Dask cluster do: they make windows from plain arrays and options.
+"""The work of the workers of a Dask cluster: they make windows from plain arrays and options.
 
 A worker that sees the folder of windows of the process that spreads them writes its own there, and
 returns what the journal says of it; others return the window.

@@ -209,11 +209,12 @@ NOINLINE void bound_children(const child_list *list, float edge, bounded_block *
     block->known = true;
 }
 
-#ifdef CLOSED
+#ifdef SIGNED
 // The same bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
 // most `farthest`. If all normals are within an angle of the first, so is the direction to the
 // nearest point. Each distance is then the distance to a triangle's plane, divided by a cosine of
-// at least that of twice the angle.
+// at least that of twice the angle. If they are not, the bound is infinite: the cell may have several
+// sheets.
 NOINLINE double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
 {
     double3 axis = 0;
@@ -222,6 +223,8 @@ NOINLINE double bound_passed(const child_list *list, const ways *at, double8 fie
     for (uint j = from(list, list->begin); j < list->end && cosine > 0.75; j = from(list, j + 1)) {
         const triangle t = triangle_at(scene, j);
         const uint name = scene->names[scene->items[j]];
+        if (name == NAMELESS)
+            return INFINITY;
         double3 normal = normal_of(name, FACE, scene->features, scene->normals);
         const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
         if (square == 0)
@@ -237,5 +240,25 @@ NOINLINE double bound_passed(const child_list *list, const ways *at, double8 fie
         apart = misses > apart ? misses : apart;
     }
     return cosine > 0.75 ? apart + 2 * (1 - cosine * cosine) * farthest : INFINITY;
+}
+
+// Whether two sheets pass a cell that face away from each other: the normal of some triangle is 120
+// degrees or more from that of the first.
+bool opposed(const child_list *list)
+{
+    const scene_of_lists *scene = &list->scene;
+    double3 first = 0;
+    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
+        const uint name = scene->names[scene->items[j]];
+        if (name == NAMELESS)
+            continue;
+        const double3 n = normal_of(name, FACE, scene->features, scene->normals);
+        const double square = n.x * n.x + n.y * n.y + n.z * n.z;
+        if (first.x == 0 && first.y == 0 && first.z == 0 && square > 0)
+            first = n / sqrt(square);
+        if (first.x * n.x + first.y * n.y + first.z * n.z < -0.5 * sqrt(square))
+            return true;
+    }
+    return false;
 }
 #endif

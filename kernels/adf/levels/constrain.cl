@@ -40,10 +40,14 @@ __kernel void find_neighbours(const uint n, __global const uint *sources,
 
 // Sets the vertices of a block that lie on a coarser leaf to the leaf's interpolated value: the
 // mean of the ends of the edge, or of the corners of the face, whose midpoint is the vertex. These
-// corners lie on the same leaf and are already constrained. They belong to the parent's block.
-__kernel void constrain_blocks(const uint n, __global const uint *sources,
+// corners lie on the same leaf and are already constrained. They belong to the parent's block. A
+// vertex where the interpolation has the other sign keeps its distance, unless the sign jumps between
+// the corners; *kept counts these.
+// strays[27 b + i] = the change of vertex i from its distance.
+__kernel void constrain_blocks(const uint n, const double edge, __global const uint *sources,
                                __global const uint *neighbours,
-                               __global const double *parent_values, __global double *values)
+                               __global const double *parent_values, __global double *values,
+                               __global float *strays, __global uint *kept)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -51,9 +55,16 @@ __kernel void constrain_blocks(const uint n, __global const uint *sources,
     __global double *own = values + 27 * (size_t)gid;
     __global const double *parent = parent_values + 27 * (size_t)(sources[gid] / 8);
     const uint3 low = octant(sources[gid] % 8);
+    __global float *astray = strays + 27 * (size_t)gid;
+    uint count = 0;
+    for (uint i = 0; i < 27; ++i)
+        astray[i] = 0;
     for (uint corner = 0; corner < 8; ++corner) {
         const uint3 o = octant(corner), at = low + o;
-        own[2 * o.x + 6 * o.y + 18 * o.z] = parent[at.x + 3 * at.y + 9 * at.z];
+        const uint i = 2 * o.x + 6 * o.y + 18 * o.z;
+        const double value = parent[at.x + 3 * at.y + 9 * at.z];
+        astray[i] = (float)(value - own[i]);
+        own[i] = value;
     }
     for (int i = 0; i < 27; ++i) {
         const int3 side = (int3)(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1);
@@ -68,7 +79,7 @@ __kernel void constrain_blocks(const uint n, __global const uint *sources,
         }
         if (!hangs)
             continue;
-        double sum = 0;
+        double sum = 0, least = INFINITY, most = -INFINITY;
         for (int j = 0; j < 1 << middles; ++j) {
             int3 at = side;
             int bit = j;
@@ -78,8 +89,24 @@ __kernel void constrain_blocks(const uint n, __global const uint *sources,
                 at.y = 2 * (bit & 1) - 1, bit >>= 1;
             if (side.z == 0)
                 at.z = 2 * (bit & 1) - 1;
-            sum += own[13 + at.x + 3 * at.y + 9 * at.z];
+            const double end = own[13 + at.x + 3 * at.y + 9 * at.z];
+            sum += end;
+            least = end < least ? end : least;
+            most = end > most ? end : most;
         }
-        own[i] = sum / (1 << middles);
+        const double value = sum / (1 << middles);
+#ifdef JUMPS
+        const bool jumps = most - least > edge * (middles == 1 ? 1 : 1.5);
+#else
+        const bool jumps = false;
+#endif
+        if ((value < 0) != (own[i] < 0) && !jumps) {
+            ++count;
+            continue;
+        }
+        astray[i] = (float)(value - own[i]);
+        own[i] = value;
     }
+    if (count)
+        atomic_add(kept, count);
 }

@@ -28,19 +28,19 @@ uchar code_of(double bound, __global const double *bounds)
     return (uchar)low;
 }
 
-// Whether the corner distances of a cell differ by more than is possible without a sign
-// discontinuity. Hanging corners, on a leaf with a discontinuity, may differ by more than the
-// interpolation of other corners does. Cells without triangles have no sign change.
-bool jumps(double8 field, double edge, bool passed)
+// Whether the distances at the corners of a cell differ by more than is possible without a sign
+// discontinuity, or its corners have several signs though no triangle passes: hanging corners take
+// those of leaves with a discontinuity.
+bool jumps(double8 field, double8 distances, double edge, bool passed)
 {
     const ulong8 corner = (ulong8)(0, 1, 2, 3, 4, 5, 6, 7);
-    const double *corners = (const double *)&field;
+    const double *corners = (const double *)&distances;
+    if (!passed && any(field < 0.0) && any(field >= 0.0))
+        return true;
     for (uint i = 0; i < 8; ++i) {
-        const double8 apart = field - corners[i];
+        const double8 apart = distances - corners[i];
         const double8 far = edge * edge * (1 + 0x1p-20) * convert_double8(popcount(corner ^ (ulong)i));
-        const long8 unlike = (field < 0.0) != (long8)(corners[i] < 0 ? -1 : 0);
-        if (!passed && any(unlike))
-            return true;
+        const long8 unlike = (distances < 0.0) != (long8)(corners[i] < 0 ? -1 : 0);
         if (any(apart * apart > (unlike ? far : 3 * far)))
             return true;
     }
@@ -49,23 +49,25 @@ bool jumps(double8 field, double edge, bool passed)
 
 // The refinement parameters, in the frame: tolerance, displacement of points by rounding, and width
 // of the refined band around the surface; whether children can be refined, whether they must be
-// where triangles pass, and whether all samples are taken.
+// where triangles pass, and where their bounds exceed the tolerance, and whether all samples are taken.
 #define LIMITS                                                                                         \
     const double tolerance, const double misplaced, const double band, const uint can_refine,          \
-        const uint refine_coarse, const uint thorough
+        const uint refine_coarse, const uint guarantee, const uint thorough
 
 // A child of a block and its state. corners: its distances; radius: half of its diagonal; middle:
 // the distance at its centre; rounding: of bounds; gap: the growth of the error between samples;
 // passed: triangles may pass through it; in_doubt: the sign of a corner is unknown; beyond: it lies
-// beyond the band; may_refine: it may have children. error: the largest error known; bound: the
-// error bound.
+// beyond the band; may_refine: it may have children; unlike: the sign of a sample is not the mesh's;
+// entered: a point of the mesh is in the cell; thin: sheets pass that face away from each other, whose
+// signs it does not have. error: the largest error known; stray: that at a corner; bound: the error
+// bound.
 typedef struct {
     uint3 cell;
     uint level;
     child_corners at;
     rivals known; // by which its list is pruned
-    double corners[8], extent, edge, slope, radius, middle, rounding, gap, error, bound;
-    bool in_doubt, passed, beyond, may_refine;
+    double corners[8], extent, edge, slope, radius, middle, rounding, gap, error, stray, bound;
+    bool in_doubt, passed, beyond, may_refine, unlike, entered, thin;
 } child_cell;
 
 ways samples_of(const child_cell *c, uint k)
@@ -81,10 +83,24 @@ double8 interpolated_at(const child_cell *c, uint k)
     return sum;
 }
 
+#ifdef SIGNED
+// Notes whether the interpolation at eight samples has another sign than the mesh, and whether their
+// nearest points are in the cell.
+void compare_signs(child_cell *c, double8 interpolated, double8 outward, const ways *points, const ways *way)
+{
+    const double reach = 0.5 * c->edge;
+    const child_corners *at = &c->at;
+    c->unlike |= any((interpolated < 0.0) != (outward < 0.0));
+    c->entered |= any(absolute(points->x - way->x - at->exact.x.s0 - reach) < reach &
+                      absolute(points->y - way->y - at->exact.y.s0 - reach) < reach &
+                      absolute(points->z - way->z - at->exact.z.s0 - reach) < reach);
+}
+#endif
+
 // The largest interpolation error at eight of a cell's samples, computed from the triangles of a
 // child's list. The interpolation supplies the sign where it is uncertain, or where the distance is
 // so large that the whole cell is on one side.
-NOINLINE double sample_error(const child_list *list, const child_cell *c, uint k)
+NOINLINE double sample_error(const child_list *list, child_cell *c, uint k)
 {
     const scene_of_lists *scene = &list->scene;
     const ways points = samples_of(c, k);
@@ -97,8 +113,10 @@ NOINLINE double sample_error(const child_list *list, const child_cell *c, uint k
     double8 outward = interpolated;
 #ifdef SIGNED
     if (!c->in_doubt && c->passed) {
-        const double8 number = numbers_beside(scene, found.SIDED, &points);
+        ways way;
+        const double8 number = numbers_beside(scene, found.SIDED, &points, &way);
         outward = number == number ? 0.5 - number : interpolated;
+        compare_signs(c, interpolated, outward, &points, &way);
     }
 #endif
     return highest(absolute(interpolated - (outward < 0.0 ? -distance : distance)));
@@ -113,6 +131,14 @@ double slope_of(double8 field, double edge)
     return sqrt(dx * dx + dy * dy + dz * dz) / edge;
 }
 
+// Lowers the bound of a cell to that between the samples and corners, given one of the errors at the
+// samples.
+void bound_between(child_cell *c, double error)
+{
+    const double most = error > c->stray ? error : c->stray, bound = most + c->rounding + c->gap;
+    c->bound = bound < c->bound ? bound : c->bound;
+}
+
 // Computes the errors at the samples, until the error exceeds the tolerance and the child may be
 // refined or, if thorough, at all of them; then the bound between samples.
 void sample_all(const child_list *list, child_cell *c, double tolerance, uint thorough)
@@ -124,8 +150,7 @@ void sample_all(const child_list *list, child_cell *c, double tolerance, uint th
             return;
     }
     const double unsure = c->in_doubt && c->passed ? 2 * (c->middle + c->radius) : 0;
-    const double between = c->error + unsure + c->rounding + c->gap;
-    c->bound = between < c->bound ? between : c->bound;
+    bound_between(c, c->error + unsure);
 }
 
 // As sample_all, of a child that no triangle passes, from distances in single precision; returns
@@ -160,9 +185,8 @@ NOINLINE bool samples_decide(const child_list *list, child_cell *c, double toler
     }
     if (!(error + doubt <= tolerance || error - doubt > tolerance))
         return false;
-    const double between = error + doubt + c->rounding + c->gap;
     c->error = error;
-    c->bound = between < c->bound ? between : c->bound;
+    bound_between(c, error + doubt);
     return true;
 }
 
@@ -200,7 +224,7 @@ void examine_apart(child_list *list, child_cell *c, bounded_block *block, double
         prune(list, &c->at, &c->known, edge);
     if (c->bound == INFINITY)
         c->bound = bound_apart(list, &c->at.exact, size, c->edge) + c->rounding;
-    if (c->bound <= tolerance || (c->beyond && c->bound <= c->rounding + c->gap))
+    if (c->bound <= tolerance || (c->beyond && c->bound <= c->stray + c->rounding + c->gap))
         return;
     if (thorough || !samples_decide(list, c, tolerance))
         sample_all(list, c, tolerance, thorough);
@@ -211,20 +235,25 @@ void examine_apart(child_list *list, child_cell *c, bounded_block *block, double
 // tolerance.
 void examine_passed(const child_list *list, child_cell *c, double tolerance, uint thorough)
 {
-#ifdef CLOSED
     const double8 field = vload8(0, c->corners);
-    c->bound = bound_passed(list, &c->at.exact, field, c->middle + 2 * c->radius) + c->rounding;
+    const double bound = bound_passed(list, &c->at.exact, field, c->middle + 2 * c->radius) + c->rounding;
+    const bool parted = bound == INFINITY; // triangles may be of several sheets
+#ifdef CLOSED
+    c->bound = bound;
     if (c->bound <= tolerance)
         return;
 #endif
     sample_all(list, c, tolerance, thorough);
+    c->unlike |= c->entered && (lowest(field) >= 0 || highest(field) < 0);
+    c->thin = parted && c->unlike && opposed(list);
 }
 #endif
 
-// Whether a child is refined: its error exceeds the tolerance, or triangles pass a coarse child
-// whose bound does. Computes both as far as they are needed, and prunes the list.
+// Whether a child is to be refined: its error exceeds the tolerance, triangles pass a coarse child
+// whose bound does, or it is thin and its edge exceeds the tolerance. Computes what is needed for that,
+// and prunes the list.
 bool examined(child_list *list, child_cell *c, bounded_block *block, double tolerance,
-              uint refine_coarse, uint thorough)
+              uint refine_coarse, uint guarantee, uint thorough)
 {
     const double miss = fabs(fabs(interpolated_at(c, 0).s0) - c->middle);
     const bool misses = c->may_refine && !thorough && miss > tolerance; // at the centre
@@ -238,26 +267,28 @@ bool examined(child_list *list, child_cell *c, bounded_block *block, double tole
     else
 #endif
         examine_apart(list, c, block, tolerance, thorough);
-    const bool coarse = c->passed && refine_coarse && c->bound > tolerance;
-    return c->may_refine && (c->error > tolerance || coarse);
+    const bool unsure = (guarantee || (c->passed && refine_coarse)) && c->bound > tolerance;
+    return c->may_refine && (c->error > tolerance || unsure || (c->thin && c->edge > tolerance));
 }
 
 // For each child c of block c / 8, with the distance centres[c] at its centre: flags[c] = 1 if it is
 // to be refined. errors[c] = the sampled error of a leaf, in cube edges, if it exceeds the
 // tolerance; otherwise anything up to that; 0 beyond the band and -1 at a sign discontinuity.
-// codes[c] = the code of its bound.
+// codes[c] = the code of its bound. thin[c] = 1 if it is a leaf and thin.
 __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #ifdef WINDING
                                __global const uint *doubts,
 #endif
                                __global const float *voxels, __global const double *centres,
-                               __global const double *bounds, __global const uint *places,
+                               __global const float *strays, __global const double *bounds,
+                               __global const uint *places,
 #ifdef FLAT
                                __global const uint *sided,
 #endif
                                __global uchar *masks, __global uint *needed,
                                __global uint *flags, __global float *errors,
-                               __global uchar *codes, __global uint *steepest)
+                               __global uchar *codes, __global uchar *thin,
+                               __global uint *steepest)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -282,8 +313,14 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         find_rivals(&list, &c.at, places + 27 * (size_t)gid, PLACES_OF_SIDES + 27 * (size_t)gid,
                     (float)c.edge, &c.known);
         c.in_doubt = false;
+        c.stray = 0;
+        double distances[8]; // the corners before they were constrained
         for (uint i = 0; i < 8; ++i) {
-            c.corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
+            const size_t vertex = 27 * (size_t)gid + CORNERS[8 * child + i];
+            const double astray = strays[vertex];
+            c.corners[i] = voxels[vertex] * side;
+            c.stray = fabs(astray) > c.stray ? fabs(astray) : c.stray;
+            distances[i] = c.corners[i] - astray;
 #ifdef WINDING
             c.in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
 #endif
@@ -291,22 +328,26 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         const double8 field = vload8(0, c.corners);
         c.slope = slope_of(field, c.edge);
         c.gap = (1 + c.slope) * (SAMPLE_GAP * c.edge);
+        c.stray *= 1 + 0x1p-20; // as it is rounded
         c.rounding = highest(absolute(field)) * 0x1p-21 + SLACK + misplaced;
         c.middle = centres[place];
         c.passed = c.middle <= c.radius;
         c.beyond = c.middle - c.radius > band;
         c.may_refine = can_refine && !c.beyond;
+        c.thin = c.unlike = c.entered = false;
         c.error = 0;
         c.bound = INFINITY;
         bool jumped = false;
 #ifdef JUMPS
-        jumped = jumps(field, c.edge, c.passed);
+        jumped = jumps(field, vload8(0, distances), c.edge, c.passed);
 #endif
         const bool refined = jumped ? c.may_refine && refine_coarse
-                                    : examined(&list, &c, &block, tolerance, refine_coarse, thorough);
+                                    : examined(&list, &c, &block, tolerance, refine_coarse,
+                                               guarantee, thorough);
         needed[place] = list.count;
         flags[place] = refined;
         errors[place] = jumped ? -1 : c.beyond ? 0 : (float)(c.error / side);
+        thin[place] = !refined && c.thin;
         codes[place] = jumped ? JUMP : code_of(c.bound / side, bounds);
         if (!refined && !jumped && c.slope > slope_of_leaves)
             slope_of_leaves = (float)c.slope;

@@ -73,10 +73,9 @@ double8 absolute(double8 a)
         __global const float *narrow, __global const uint *items
 #ifdef SIGNED
 #ifdef WINDING
-#define FRONT , __global const double *front
-#define FRONT_VALUE , front
+#define FRONT , __global const double *front, __global uint *wanted
+#define FRONT_VALUE , front, wanted
 #define BOUNDARY , __global const double *spheres, const uint sphere_count
-#define in_front(scene, face) scene->front[face]
 #else
 #define FRONT
 #define FRONT_VALUE
@@ -103,6 +102,7 @@ typedef struct {
     __global const double *normals;
 #ifdef WINDING
     __global const double *front;
+    __global uint *wanted;
 #endif
 #endif
 } scene_of_lists;
@@ -181,9 +181,23 @@ triangle triangles_of(__global const double *leaves, const uint *slots)
     return t;
 }
 
+#ifdef WINDING
+// The winding number in front of a face, or NAN; one that has not been found yet is wanted.
+double in_front(const scene_of_lists *scene, uint face)
+{
+    const double number = scene->front[face];
+    if (number < INFINITY || number != number)
+        return number;
+    atomic_or(scene->wanted + face / 32, 1u << face % 32);
+    return NAN;
+}
+#endif
+
 // The winding numbers at the middles of eight faces, on the sides of the faces on which eight points
 // lie; NAN where they are unknown. The faces are those of the triangles at these indices of the lists.
-NOINLINE double8 numbers_beside(const scene_of_lists *scene, long8 which, const ways *points)
+// way: from the nearest points of the triangles.
+NOINLINE double8 numbers_beside(const scene_of_lists *scene, long8 which, const ways *points,
+                                ways *way)
 {
     long place[8], feature_of[8];
     double front[8], x[8], y[8], z[8];
@@ -192,9 +206,8 @@ NOINLINE double8 numbers_beside(const scene_of_lists *scene, long8 which, const 
     for (uint i = 0; i < 8; ++i)
         slots[i] = place[i] == NO_TRIANGLE ? 0 : scene->items[place[i]];
     const triangle t = triangles_of(scene->leaves, slots);
-    ways way;
     MASKS feature;
-    triangle_ways(&t, points->x, points->y, points->z, &way, &feature);
+    triangle_ways(&t, points->x, points->y, points->z, way, &feature);
     vstore8(feature, 0, feature_of);
     for (uint i = 0; i < 8; ++i) {
         const uint name = scene->names[slots[i]];
@@ -205,7 +218,7 @@ NOINLINE double8 numbers_beside(const scene_of_lists *scene, long8 which, const 
         front[i] = known ? in_front(scene, name / 3) : NAN;
     }
     const double8 along =
-        way.x * vload8(0, x) + way.y * vload8(0, y) + way.z * vload8(0, z);
+        way->x * vload8(0, x) + way->y * vload8(0, y) + way->z * vload8(0, z);
     return vload8(0, front) + (along < 0.0 ? (double8)1.0 : (double8)0.0);
 }
 #endif

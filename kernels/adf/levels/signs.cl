@@ -25,7 +25,8 @@ double8 vertex_numbers(const scene_of_lists *scene, __global const uint *nearest
     for (uint i = 0; i < 8; ++i)
         which[i] = nearest_of[min(8 * k + i, 26u)];
     const ways points = lattice_points(2 * cell_of(identifier, level), VERTICES, k, level + 1, extent);
-    return numbers_beside(scene, vload8(0, which), &points);
+    ways way;
+    return numbers_beside(scene, vload8(0, which), &points, &way);
 }
 
 #ifdef WINDING

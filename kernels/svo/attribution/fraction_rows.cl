@@ -33,13 +33,15 @@ long number_after(long sum, bool inside, uint rule, uint *wrong)
     return inside ? ONE : 0;
 }
 
-// Traverse the octree along a bundle of 8 x 8 rows of an axis. Of rows along x, turn sums into shares of
-// touched voxels, in units of 1 / WHOLE. The bricks, of the rule's voxels, become those that have a
-// share; `partial` are those whose share is neither 0 nor WHOLE. Of all rows, if `faces` are asked for,
-// these become the shares of the two faces of touched voxels across the axis. The area of a voxel is
+// Traverse the octree along a bundle of 8 x 8 rows of an axis, all or the `chosen` ones. For rows along
+// x, turn sums into shares of touched voxels, in units of 1 / WHOLE. The bricks, of the rule's voxels,
+// become those that have a share; `partial` are those whose share is neither 0 nor WHOLE. For all rows,
+// if `faces` are asked for, these become the shares of the two faces of touched voxels across the axis.
+// The area of a voxel is
 // areas[2 * number + start], its volume the next. `wrong` counts where sums and rule disagree.
 __kernel void sum_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
-                       const int3 shape, const int axis, const uint n, const uint rule,
+                       const int3 shape, const int axis, const uint n,
+                       __global const uint *chosen, const uint rule,
                        __global const long *entry, __global const ulong *touched,
                        __global const uint *firsts, __global const long *areas, const uint start,
                        __global ulong *bricks, __global ulong *partial, __global uint *shares,
@@ -50,7 +52,8 @@ __kernel void sum_rows(__global const svo_node *nodes, __constant uint *offsets,
         return;
     const int ap = axis < 2 ? axis + 1 : 0, aq = axis > 0 ? axis - 1 : 2; // rows are at (p, q)
     const uint3 size = as_uint3(swizzle(shape, axis));
-    const uint bundles = (size.x + 7) / 8, p = gid % bundles, q = gid / bundles;
+    const uint bundle = chosen ? chosen[gid] : gid, bundles = (size.x + 7) / 8;
+    const uint p = bundle % bundles, q = bundle / bundles;
     long sum[64];
     uint last[64]; // the voxel before, if it is touched
     for (uint row = 0; row < 64; ++row) {

@@ -1,7 +1,7 @@
 // Bricks of several octrees united, each voxel with the octree that comes first. Host side:
 // voxtool/svo/attribution/paint.py. Option: VALUE, the type of what is written for an octree.
 //
-// Of brick i the entries firsts[i] to firsts[i + 1] - 1 are masks, and the ranks of their octrees, the
+// Entries firsts[i] to firsts[i + 1] - 1 of brick i are masks, and the ranks of their octrees, the
 // last one first; behind[i] is the rank of the first octree that fills the brick completely, or NONE.
 
 #include "svo/attribution/paint.h"

@@ -38,13 +38,24 @@ uint2 brick_sums(ulong low, ulong high, int x)
     return (uint2)(voxels, 2 * (voxels * (uint)x + 4 * second + ones + 2 * twos));
 }
 
+// The bundles that pass through level-1 nodes.
+__kernel void list_bundles(__global const CODE *codes, const uint n, const int3 shape,
+                           __global uint *bundles)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint3 cell = morton_decode(codes[gid]);
+    bundles[gid] = cell.y + cell.z * ((uint)(shape.y + 7) / 8);
+}
+
 #define MAX_LEVELS 16
 
 // Traverse the octree along a bundle of rows. `entries` receives the states of rows where they enter
 // level-1 nodes. `fills` counts the bundles that are completely inside at a leaf, or becomes MIXED if
-// some rows are inside or the leaf reaches beyond the grid. With `chosen`, only the chosen bundles
-// are traversed, and their states are recorded for leaves to be refined (child = slot + 1). If asked for,
-// sums[bundle] = the sums of sums.h over the voxels of leaves.
+// some rows are inside or the leaf reaches beyond the grid. With `states`, they are recorded for leaves
+// to be refined instead (child = slot + 1). With `chosen`, only the chosen bundles are traversed. If
+// asked for, sums[i] = the sums of sums.h over the voxels of the leaves of the bundle of work-item i.
 __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
                          const int3 shape, const uint n, __global const uint *chosen,
                          __global const ulong *entry, __global const ulong *bricks, __global ulong *entries,
@@ -74,7 +85,7 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
         uint next;
         if (child & VALID) {
             const uint index = (child & LINK) / 8;
-            if (!chosen)
+            if (!states)
                 entries[index] = state;
             state ^= node_flips(bricks + 8 * index);
             next = x + 1;
@@ -84,7 +95,7 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
             next = (x | (side - 1)) + 1;
             if (sums)
                 inside += row_sums((uint)popcount(state), 8 * x, min(8 * (int)next, shape.x));
-            if (chosen) {
+            if (states) {
                 if (child & LINK)
                     states[(child & LINK) - 1 + (y & (side - 1)) + (z & (side - 1)) * side] = state;
             } else if (state == ALL && 8 * next <= (uint)shape.x) {
@@ -97,7 +108,7 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
         x = next;
     }
     if (sums)
-        sums[bundle] = weighed(inside, bundle);
+        sums[gid] = weighed(inside, bundle);
 }
 
 // Mark leaves: INSIDE if all bundles through a leaf fill it, otherwise MIXED; count the MIXED ones.

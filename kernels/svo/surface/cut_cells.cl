@@ -25,61 +25,60 @@ __kernel void cover_level(__global const svo_node *nodes, const uint first, cons
     coverage[gid] = sum;
 }
 
+// Adds 2^shift tiles, 1 or 8, to a set.
+void add_tiles(WORDS, volatile __global uint *set, ulong tile, uint shift)
+{
+    const uint word = word_of(THESE_WORDS, tile >> 6);
+    atomic_or(&set[2 * (size_t)word + (tile >> 5 & 1)], (shift ? 0xFFu : 1u) << (tile & 31));
+}
+
 // The codes of a level's refined nodes, from those of the level above; and the tiles in the level's
-// inside leaves: 2^shift per leaf, contiguous in Morton order. On the last level, also the active
-// tiles, those of its refined nodes; a node whose children are bricks has eight tiles.
+// inside leaves, 2^shift a leaf. On the last level, also the active tiles, those of its refined
+// nodes; a node whose children are bricks has eight tiles.
 __kernel void place_nodes(__global const svo_node *nodes, const uint first, const uint n,
-                          __global const uint *above_codes, const uint is_root, const uint is_last,
-                          const uint shift, __global uint *codes, volatile __global uint *inside,
+                          __global const ulong *above_codes, const uint is_last, const uint shift,
+                          __global ulong *codes, WORDS, volatile __global uint *inside,
                           volatile __global uint *active)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const uint child = nodes[first + gid].child;
-    const uint code = is_root ? 0 : above_codes[gid >> 3] << 3 | (gid & 7);
+    const ulong code = above_codes[gid >> 3] << 3 | (gid & 7);
     if (child & VALID) {
         codes[(child & LINK) >> 3] = code;
         if (is_last)
-#if defined(VOXELS) || defined(FRACTIONS)
-            atomic_or(&active[code >> 2], 0xFFu << (8 * (code & 3)));
-#else
-            atomic_or(&active[code >> 5], 1u << (code & 31));
-#endif
+            add_tiles(THESE_WORDS, active, code << shift, shift);
     }
-    if (!(child & INSIDE))
-        return;
-    const ulong tile = (ulong)code << shift;
-    if (shift < 6)
-        atomic_or(&inside[tile >> 5], (shift ? 0xFFu : 1u) << (tile & 31));
-    else
-        for (ulong word = tile >> 5; word < (tile + (1ul << shift)) >> 5; ++word)
-            inside[word] = 0xFFFFFFFFu;
+    if (child & INSIDE)
+        add_tiles(THESE_WORDS, inside, code << shift, shift);
 }
 
-// The words of tiles at the corners of the cubes of word `code`; 0 outside the root.
-void corner_words(__global const ulong *words, uint n, uint code, ulong *corner)
+// The words of tiles at the corners of the cubes of a listed word, in one set. A word of the root
+// that is not listed lies in the same leaf; what lies outside the root is empty.
+void corner_words(WORDS, __global const ulong *set, uint own, ulong root, ulong *corner)
 {
     for (uint j = 0; j < 8; ++j) {
-        const ulong at = corner_cell(code, j);
-        corner[j] = at < n ? words[at] : 0;
+        const ulong code = corner_cell(word_codes[own], j);
+        const uint at = word_of(THESE_WORDS, code);
+        corner[j] = code < root ? set[at == NOWHERE ? own : at] : 0;
     }
     shift_to_corners(corner);
 }
 
 // Finds the tiles with a cube that may be cut: one of the cube's corners lies in an active tile, or
 // its corners lie in both inside and empty tiles. Tiles that are not active correspond to the
-// NullCubes of [voCCeL], section 4.1. A word is 4 x 4 x 4 tiles.
+// NullCubes of [voCCeL], section 4.1. The root has `root` words.
 __kernel void find_tiles(__global const ulong *active, __global const ulong *inside, const uint n,
-                         __global ulong *present, __global uint *counts)
+                         WORDS, const ulong root, __global ulong *present, __global uint *counts)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     ulong corner[8];
-    corner_words(inside, n, gid, corner);
+    corner_words(THESE_WORDS, inside, gid, root, corner);
     ulong any = cut_cubes(corner);
-    corner_words(active, n, gid, corner);
+    corner_words(THESE_WORDS, active, gid, root, corner);
     for (uint j = 0; j < 8; ++j)
         any |= corner[j];
     present[gid] = any;
@@ -87,9 +86,9 @@ __kernel void find_tiles(__global const ulong *active, __global const ulong *ins
 }
 
 // The codes of present tiles. Until it is sampled, each tile counts as completely inside or empty.
-__kernel void list_tiles(__global const ulong *present, __global const uint *ranks,
-                         __global const ulong *inside, const uint n, __global uint *codes,
-                         __global ulong *masks, __global uint *source)
+__kernel void list_tiles(__global const ulong *word_codes, __global const ulong *present,
+                         __global const uint *ranks, __global const ulong *inside, const uint n,
+                         __global ulong *codes, __global ulong *masks, __global uint *source)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -97,7 +96,7 @@ __kernel void list_tiles(__global const ulong *present, __global const uint *ran
     uint slot = ranks[gid];
     for (ulong left = present[gid]; left; left &= left - 1) {
         const uint bit = lowest_bit(left);
-        codes[slot] = gid << 6 | bit;
+        codes[slot] = word_codes[gid] << 6 | bit;
         masks[slot] = inside[gid] >> bit & 1 ? ALL : 0;
         source[slot++] = NOWHERE;
     }
@@ -106,15 +105,16 @@ __kernel void list_tiles(__global const ulong *present, __global const uint *ran
 #ifdef VOXELS
 
 // The masks of the active tiles are the bricks.
-__kernel void sample_tiles(__global const uint *node_codes, const uint n,
-                           __global const ulong *bricks, __global const ulong *present,
-                           __global const uint *ranks, __global ulong *masks,
+__kernel void sample_tiles(__global const ulong *node_codes, const uint n,
+                           __global const ulong *bricks, WORDS,
+                           __global const ulong *present, __global const uint *ranks,
+                           __global ulong *masks,
                            __global uint *source)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint slot = slot_of(present, ranks, node_codes[gid >> 3] << 3 | (gid & 7));
+    const uint slot = slot_of(THESE_WORDS, present, ranks, node_codes[gid >> 3] << 3 | (gid & 7));
     masks[slot] = bricks[gid];
     source[slot] = gid;
 }
@@ -123,11 +123,12 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 
 // The fractions of the 64 voxels of each brick: those of `partial` voxels follow each other from
 // fractions[firsts[i]] on, the other set ones are full; and the masks of voxels of `threshold` or more.
-__kernel void sample_tiles(__global const uint *node_codes, const uint n,
+__kernel void sample_tiles(__global const ulong *node_codes, const uint n,
                            __global const ulong *bricks, __global const ulong *partial,
                            __global const uint *firsts, __global const ushort *fractions,
-                           const uint full, const uint threshold, __global const ulong *present,
-                           __global const uint *ranks, __global SAMPLE *samples,
+                           const uint full, const uint threshold, WORDS,
+                           __global const ulong *present, __global const uint *ranks,
+                           __global SAMPLE *samples,
                            __global ulong *masks, __global uint *source)
 {
     const uint gid = get_global_id(0);
@@ -142,7 +143,7 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
         samples[64 * (size_t)gid + bit] = (SAMPLE)found;
         mask |= (ulong)(found >= threshold) << bit;
     }
-    const uint slot = slot_of(present, ranks, node_codes[gid >> 3] << 3 | (gid & 7));
+    const uint slot = slot_of(THESE_WORDS, present, ranks, node_codes[gid >> 3] << 3 | (gid & 7));
     masks[slot] = mask;
     source[slot] = gid;
 }
@@ -152,10 +153,10 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 // The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
 // outside that contain occupied voxels; and the number of occupied voxels in the latter.
 // full_and_inside: the coverage of a full sample, and the least of a sample inside.
-__kernel void sample_tiles(__global const uint *node_codes, const uint n,
+__kernel void sample_tiles(__global const ulong *node_codes, const uint n,
                            __global const svo_node *nodes, const uint first,
                            const uint2 full_and_inside, __global const COVERAGE *coverage,
-                           __global const ulong *present, __global const uint *ranks,
+                           WORDS, __global const ulong *present, __global const uint *ranks,
                            __global SAMPLE *samples, __global ulong *below,
                            __global uint *lost_below, __global ulong *masks,
                            __global uint *source)
@@ -183,7 +184,7 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
             mask |= (child & INSIDE ? 0xFFul : 0ul) << (8 * octant);
         }
     }
-    const uint slot = slot_of(present, ranks, node_codes[gid]);
+    const uint slot = slot_of(THESE_WORDS, present, ranks, node_codes[gid]);
     masks[slot] = mask;
     below[gid] = set & ~mask;
     lost_below[gid] = outside;
@@ -209,7 +210,7 @@ ulong dilate(ulong mask)
 // lost[2 i]: number of occupied voxels in samples outside. lost[2 i + 1]: those of them in samples
 // with no cut cell around. Each of n work-items sums a share of the tiles from core.x to below
 // core.y.
-__kernel void count_lost(__global const uint *codes, const uint2 core, TILES, SAMPLES,
+__kernel void count_lost(__global const ulong *codes, const uint2 core, TILES, SAMPLES,
                          __global const ulong *below, __global const uint *lost_below,
                          __global const ulong *cut, const uint n, __global ulong *lost)
 {
@@ -226,14 +227,13 @@ __kernel void count_lost(__global const uint *codes, const uint2 core, TILES, SA
         ulong left = below[source[slot]] & ~dilate(masks[slot]);
         for (; left; left &= left - 1) {
             const uint bit = lowest_bit(left);
-            const ulong cell = (ulong)codes[slot] << 6 | bit;
+            const ulong cell = codes[slot] << 6 | bit;
             bool seen = false;
             for (uint j = 0; j < 8 && !seen; ++j) {
                 ulong cube = cell;
                 for (uint axis = 0; axis < 3; ++axis)
                     cube = j >> axis & 1 ? step_down(cube, axis) : cube;
-                const bool exists = cube >> 12 < words; // below the root, codes wrap around
-                const uint at = exists ? slot_of(present, ranks, cube >> 6) : NOWHERE;
+                const uint at = slot_of(THESE_WORDS, present, ranks, cube >> 6);
                 seen = at != NOWHERE && (cut[at] >> (cube & 63) & 1);
             }
             vanished += seen ? 0 : samples[64 * (size_t)source[slot] + bit];

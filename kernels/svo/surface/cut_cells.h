@@ -4,10 +4,10 @@
 // bits.
 
 #include "morton_bits.h"
+#include "svo/surface/words.h"
 
 #define ALL 0xFFFFFFFFFFFFFFFFul
 #define AXIS 0x1249249249249249ul // the bits of x in a Morton code
-#define NOWHERE 0xFFFFFFFFu
 
 // The code of the next cell, or tile, along an axis; outside the root it has more bits than the
 // root's codes.
@@ -72,32 +72,50 @@ void shift_to_corners(ulong *corner)
                 corner[j] = shift_mask(corner[j ^ 1u << axis], corner[j], axis);
 }
 
-// The arguments that locate a present tile and its mask: the host's Tiles.arguments.
+// The arguments that locate a word, and a present tile and its mask: the host's Tiles.arguments.
+#define WORDS                                                                                      \
+    __global const ulong *word_codes, __global const uint *places, const uint hash_shift
+#define THESE_WORDS word_codes, places, hash_shift
 #define TILES                                                                                      \
-    __global const ulong *present, __global const uint *ranks, __global const ulong *inside,       \
-        const uint words, __global const ulong *masks
-#define THESE_TILES present, ranks, inside, words, masks
+    WORDS, __global const ulong *present, __global const uint *ranks,                              \
+        __global const ulong *inside, __global const ulong *masks
+#define THESE_TILES THESE_WORDS, present, ranks, inside, masks
 
-uint slot_of(__global const ulong *present, __global const uint *ranks, ulong tile)
+// The place of a listed word, by hashing with linear probing; NOWHERE if it is not listed.
+uint word_of(WORDS, ulong code)
 {
-    const ulong word = present[tile >> 6], bit = 1ul << (tile & 63);
-    return word & bit ? ranks[tile >> 6] + (uint)popcount(word & (bit - 1)) : NOWHERE;
+    const uint last = (uint)(ALL >> hash_shift);
+    for (uint at = (uint)(code * WORD_MULTIPLIER >> hash_shift);; at = (at + 1) & last) {
+        const uint place = places[at];
+        if (place == NOWHERE || word_codes[place] == code)
+            return place;
+    }
 }
 
-// The mask of a tile; empty outside the root.
+uint slot_of(WORDS, __global const ulong *present, __global const uint *ranks, ulong tile)
+{
+    const uint at = word_of(THESE_WORDS, tile >> 6);
+    if (at == NOWHERE)
+        return NOWHERE;
+    const ulong word = present[at], bit = 1ul << (tile & 63);
+    return word & bit ? ranks[at] + (uint)popcount(word & (bit - 1)) : NOWHERE;
+}
+
+// The mask of a tile beside a present one; empty outside the root.
 ulong mask_of(TILES, ulong tile)
 {
-    if (tile >> 6 >= words)
+    const uint at = word_of(THESE_WORDS, tile >> 6);
+    if (at == NOWHERE)
         return 0;
-    const ulong word = present[tile >> 6], bit = 1ul << (tile & 63);
-    const ulong all = inside[tile >> 6] & bit ? ALL : 0; // without branches that go either way
-    const uint slot = ranks[tile >> 6] + (uint)popcount(word & (bit - 1));
+    const ulong word = present[at], bit = 1ul << (tile & 63);
+    const ulong all = inside[at] & bit ? ALL : 0; // without branches that go either way
+    const uint slot = ranks[at] + (uint)popcount(word & (bit - 1));
     const ulong mask = masks[word & bit ? slot : 0];
     return word & bit ? mask : all;
 }
 
 // Bit b of corner[j]: is corner j of cube b of the tile inside?
-void corner_masks(TILES, uint tile, ulong *corner)
+void corner_masks(TILES, ulong tile, ulong *corner)
 {
     for (uint j = 0; j < 8; ++j)
         corner[j] = mask_of(THESE_TILES, corner_cell(tile, j));

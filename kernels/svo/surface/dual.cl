@@ -26,7 +26,7 @@ ulong cell_beyond(ulong cell, uint face)
 // pinched face is also the pinched face of the adjacent cell; and those with several loops. In
 // `first` the numbers of loops, n further of quads (cut edges that start in the tile), 2 n further
 // of neighbours of vertices beyond the fourth, 3 n further of cut cells.
-__kernel void classify_tiles(__global const uint *codes, const uint n, TILES, __global ulong *cut,
+__kernel void classify_tiles(__global const ulong *codes, const uint n, TILES, __global ulong *cut,
                              __global uchar *cases, __global ulong *joined,
                              __global ulong *several, __global uint *first)
 {
@@ -47,7 +47,7 @@ __kernel void classify_tiles(__global const uint *codes, const uint n, TILES, __
         const uint face = PINCHED_FACE[found];
         *to++ = (uchar)found;
         if (face != NO_FACE) {
-            const ulong adjacent = cell_beyond((ulong)codes[gid] << 6 | bit, face);
+            const ulong adjacent = cell_beyond(codes[gid] << 6 | bit, face);
             if (PINCHED_FACE[case_at(THESE_TILES, adjacent)] == (face ^ 1)) {
                 alternatives |= 1ul << bit;
                 found += ALTERNATIVE;
@@ -67,13 +67,13 @@ __kernel void classify_tiles(__global const uint *codes, const uint n, TILES, __
 }
 
 // Voxel faces: the vertex of each loop is the corner shared by eight samples.
-__kernel void place_corners(__global const uint *codes, const uint n, CUBES, const int shift,
+__kernel void place_corners(__global const ulong *codes, const uint n, CUBES, const int shift,
                             __global int *points)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift + 1;
+    const int3 corner = cell_coordinates(codes[gid] << 6) - shift + 1;
     size_t vertex = first[gid];
     uint k = 0;
     for (ulong left = cut[gid]; left; left &= left - 1) {
@@ -124,20 +124,20 @@ __kernel void find_means(TILES, SAMPLES, const uint n, __global ulong *means)
 #else
 
 // Surface nets of coverages.
-__kernel void place_means(__global const uint *codes, const uint n, TILES, SAMPLES, CUBES,
+__kernel void place_means(__global const ulong *codes, const uint n, TILES, SAMPLES, CUBES,
                           const int shift, __global int *points)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift;
+    const int3 corner = cell_coordinates(codes[gid] << 6) - shift;
     size_t vertex = first[gid];
     uint k = 0;
     for (ulong left = cut[gid]; left; left &= left - 1) {
         const uint bit = lowest_bit(left), found = resolved_case(cases, joined, gid, k++, bit);
         const int3 low = (corner + place_in_tile(bit)) * LATTICE + LATTICE / 2;
         int loops[3 * MAX_LOOPS];
-        place_loops(THESE_TILES, THESE_SAMPLES, (ulong)codes[gid] << 6 | bit, found, low, loops);
+        place_loops(THESE_TILES, THESE_SAMPLES, codes[gid] << 6 | bit, found, low, loops);
         for (uint i = 0; i < LOOP_COUNT[found]; ++i)
             vstore3(vload3(i, loops), vertex++, points);
     }
@@ -180,7 +180,7 @@ void number_cells(CUBES, uint slot, ulong wanted, int offset, uint *vertex, usho
 #define DOWN 3
 #define DIAGONAL 6
 #define WAYS 9
-void number_around(TILES, CUBES, __global const uint *codes, uint gid, uint begin, uint end,
+void number_around(TILES, CUBES, __global const ulong *codes, uint gid, uint begin, uint end,
                    uint *vertex, ushort *found)
 {
     number_cells(THESE_CUBES, gid, ALL, 0, vertex, found);
@@ -191,7 +191,7 @@ void number_around(TILES, CUBES, __global const uint *codes, uint gid, uint begi
             continue;
         ulong tile = way < DOWN ? step_up(codes[gid], axis) : step_down(codes[gid], axis);
         tile = way < DIAGONAL ? tile : step_down(tile, other);
-        const uint slot = tile >> 6 < words ? slot_of(present, ranks, tile) : NOWHERE;
+        const uint slot = slot_of(THESE_WORDS, present, ranks, tile);
         if (slot == NOWHERE)
             continue;
         const int along = 4 * (int)step_along(axis);
@@ -204,7 +204,7 @@ void number_around(TILES, CUBES, __global const uint *codes, uint gid, uint begi
 
 // Clears the cells of a tile, and around it, if some of them lie below the low sides of the root and
 // do not exist. Only the root of a window has such tiles, beyond its margin.
-void clear_beyond(uint tile, uint *vertex, ushort *found)
+void clear_beyond(ulong tile, uint *vertex, ushort *found)
 {
     if ((tile & AXIS) && (tile & AXIS << 1) && (tile & AXIS << 2))
         return;
@@ -224,7 +224,7 @@ uint vertex_beyond(uint step, uint cell, const uint *vertices, const ushort *res
 
 // The neighbours of each vertex, the vertices of the adjacent cells into which its loop continues;
 // and the vertex itself, at the mean of its crossings.
-__kernel void link_vertices(__global const uint *codes, const uint n, TILES, CUBES,
+__kernel void link_vertices(__global const ulong *codes, const uint n, TILES, CUBES,
                             __global const ulong *means, const uint batch, RELAXATION,
                             __global ulong *packed)
 {
@@ -265,13 +265,13 @@ __kernel void link_vertices(__global const uint *codes, const uint n, TILES, CUB
 }
 
 // The vertices of surface nets, from their coordinates in their cells.
-__kernel void unpack(__global const uint *codes, const uint n, CUBES, const int shift,
+__kernel void unpack(__global const ulong *codes, const uint n, CUBES, const int shift,
                      __global const ulong *packed, __global int *points)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift;
+    const int3 corner = cell_coordinates(codes[gid] << 6) - shift;
     size_t vertex = first[gid];
     uint k = 0;
     for (ulong left = cut[gid]; left; left &= left - 1) {
@@ -310,7 +310,7 @@ __kernel void split_quads(__global const uint *quads, const uint n, __global con
 // from outside, the lowest first; with the option SPLIT its two triangles. Cells below the low sides
 // of a window's root do not exist; their quads, which are beyond the window's margin, have vertex 0
 // there.
-__kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
+__kernel void list_quads(__global const ulong *codes, const uint n, TILES, CUBES,
 #ifdef SPLIT
                          __global const int *points,
 #endif

@@ -5,8 +5,8 @@
 #include "svo/surface/greedy_meshing.h"
 
 // A key holds, from the highest bits: the normal's axis a and sign (3 bits), the plane, then two
-// coordinates of its low corner, along b = a + 1 and c = a + 2 (modulo 3). The key of a row has the
-// row's length between these coordinates. Each field has COORDINATE_BITS.
+// coordinates of its low corner, along c = a + 2 and b = a + 1 (modulo 3). The key of a row has b and
+// the row's length there. Each field has COORDINATE_BITS.
 #define COORDINATE_MASK ((1ul << COORDINATE_BITS) - 1)
 
 ulong with_field(ulong key, ulong field) { return key << COORDINATE_BITS | field; }
@@ -34,8 +34,8 @@ __kernel void key_squares(__global const uint *quads, const uint n, __global con
     order[gid] = gid;
 }
 
-// flags = 1 where a run of consecutive keys starts; places = the indices, for compaction.
-__kernel void flag_runs(__global const ulong *keys, const uint n, __global uint *flags,
+// flags = 1 where a row starts, a run of squares side by side; places = the indices, for compaction.
+__kernel void flag_rows(__global const ulong *keys, const uint n, __global uint *flags,
                         __global uint *places)
 {
     const uint gid = get_global_id(0);
@@ -45,8 +45,8 @@ __kernel void flag_runs(__global const ulong *keys, const uint n, __global uint 
     places[gid] = gid;
 }
 
-// Keys of rows, for columns of rows with equal start and length: sorted by normal, plane, b,
-// length, c.
+// Keys of rows, for columns of rows with equal start and length: sorted by normal, plane, b and
+// length, in a sort that keeps the order of c.
 __kernel void key_rows(__global const ulong *square_keys, const uint count,
                        __global const uint *row_start, const uint n, __global ulong *keys,
                        __global uint *order)
@@ -55,10 +55,26 @@ __kernel void key_rows(__global const ulong *square_keys, const uint count,
     if (gid >= n)
         return;
     const uint start = row_start[gid], end = gid + 1 < n ? row_start[gid + 1] : count;
-    const ulong key = square_keys[start];
-    const ulong b = key & COORDINATE_MASK, c = key >> COORDINATE_BITS & COORDINATE_MASK;
-    keys[gid] = with_field(with_field(with_field(key >> 2 * COORDINATE_BITS, b), end - start), c);
+    const ulong key = square_keys[start], b = key & COORDINATE_MASK;
+    keys[gid] = with_field(with_field(key >> 2 * COORDINATE_BITS, b), end - start);
     order[gid] = gid;
+}
+
+// The same flags where a column of sorted rows starts, in which c rises by one.
+__kernel void flag_columns(__global const ulong *row_keys, const uint n,
+                           __global const uint *row_order, __global const uint *row_start,
+                           __global const ulong *square_keys, __global uint *flags,
+                           __global uint *places)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint before = max(gid, 1u) - 1;
+    const ulong own = square_keys[row_start[row_order[gid]]];
+    const ulong last = square_keys[row_start[row_order[before]]];
+    flags[gid] = gid == 0 || row_keys[gid] != row_keys[before] ||
+                 own != with_field((last >> COORDINATE_BITS) + 1, last & COORDINATE_MASK);
+    places[gid] = gid;
 }
 
 // The rectangle of rows column_start[i] and following, with the corners of its corner quads. Marks
@@ -73,8 +89,8 @@ __kernel void join_rows(__global const uint *column_start, const uint n,
     if (gid >= n)
         return;
     const uint first = column_start[gid], last = (gid + 1 < n ? column_start[gid + 1] : rows) - 1;
-    const uint length = (uint)(row_keys[first] >> COORDINATE_BITS & COORDINATE_MASK);
-    const uint outward = (uint)(row_keys[first] >> 4 * COORDINATE_BITS & 1);
+    const uint length = (uint)(row_keys[first] & COORDINATE_MASK);
+    const uint outward = (uint)(row_keys[first] >> 3 * COORDINATE_BITS & 1);
     const uint low = row_start[row_order[first]], high = row_start[row_order[last]];
     for (uint corner = 0; corner < 4; ++corner) { // from low: b then c if outward, else c then b
         const bool far_b = corner == 2 || corner == (outward ? 1 : 3);

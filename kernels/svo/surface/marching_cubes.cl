@@ -7,7 +7,7 @@
 
 // For each present tile: its cut cells and their cases, and the cut edges that start in it
 // along x, y and z; in `first` the numbers of vertices, n further of triangles, 2 n further of cut cells.
-__kernel void classify_tiles(__global const uint *codes, const uint n, TILES, __global ulong *cut,
+__kernel void classify_tiles(__global const ulong *codes, const uint n, TILES, __global ulong *cut,
                              __global uchar *cases, __global ulong *cut_edges,
                              __global uint *first)
 {
@@ -52,7 +52,7 @@ void number_edges(__global const ulong *cut_edges, __global const uint *first, u
 
 // The vertices of the edges that start in a tile, with their numbers: along x, then y, then z, in
 // Morton order.
-void place_vertices(TILES, SAMPLES, __global const uint *codes, __global const ulong *cut_edges,
+void place_vertices(TILES, SAMPLES, __global const ulong *codes, __global const ulong *cut_edges,
                     uint gid, size_t next_vertex, int shift, __global int *points, uint *vertex)
 {
     const ulong tile = codes[gid], mask = masks[gid];
@@ -76,7 +76,7 @@ void place_vertices(TILES, SAMPLES, __global const uint *codes, __global const u
 
 // The vertices and the triangles of each of `count` tiles, cube by cube. Points are in units of
 // 1 / LATTICE of a sample from the low corner of the grid, `shift` samples into the root.
-__kernel void polygonise(__global const uint *codes, const uint n, TILES, SAMPLES,
+__kernel void polygonise(__global const ulong *codes, const uint n, TILES, SAMPLES,
                          __global const ulong *cut, __global const uchar *cases,
                          __global const ulong *cut_edges, __global const uint *first,
                          const int shift, __global int *points, __global uint *triangles)
@@ -91,9 +91,7 @@ __kernel void polygonise(__global const uint *codes, const uint n, TILES, SAMPLE
         const ulong beside = (j & 1 ? LAYER(0) : ALL) & (j & 2 ? LAYER(1) : ALL) &
                              (j & 4 ? LAYER(2) : ALL);
         const ulong tile = corner_cell(codes[gid], j);
-        if (tile >> 6 >= words)
-            continue;
-        const uint slot = slot_of(present, ranks, tile);
+        const uint slot = slot_of(THESE_WORDS, present, ranks, tile);
         if (slot == NOWHERE)
             continue;
         for (uint axis = 0; axis < 3; ++axis)

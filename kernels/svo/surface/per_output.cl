@@ -25,7 +25,7 @@ uint nth_bit(ulong mask, uint k)
 
 // A vertex: its edge is the k-th of its tile, along x, then y, then z, in Morton order. Points are
 // those of `polygonise`.
-__kernel void place_vertex(__global const uint *codes, const uint n, TILES, SAMPLES, PYRAMID,
+__kernel void place_vertex(__global const ulong *codes, const uint n, TILES, SAMPLES, PYRAMID,
                            __global const ulong *cut_edges, const int shift, __global int *points)
 {
     const uint gid = get_global_id(0);
@@ -37,7 +37,7 @@ __kernel void place_vertex(__global const uint *codes, const uint n, TILES, SAMP
     for (uint here; k >= (here = (uint)popcount(edges[axis])); ++axis)
         k -= here;
     const uint bit = nth_bit(edges[axis], k);
-    const ulong cell = (ulong)codes[found.x] << 6 | bit;
+    const ulong cell = codes[found.x] << 6 | bit;
     const int t = crossing_of(THESE_TILES, THESE_SAMPLES, cell, axis, masks[found.x] >> bit & 1);
     const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
     vstore3(low + unit_of(axis) * t, gid, points);
@@ -47,7 +47,7 @@ __kernel void place_vertex(__global const uint *codes, const uint n, TILES, SAMP
 uint vertex_of(TILES, __global const ulong *cut_edges, __global const uint *first, ulong cell,
                uint axis)
 {
-    const uint slot = slot_of(present, ranks, cell >> 6);
+    const uint slot = slot_of(THESE_WORDS, present, ranks, cell >> 6);
     __global const ulong *edges = cut_edges + 3 * (size_t)slot;
     uint number = first[slot] + (uint)popcount(edges[axis] & ((1ul << (cell & 63)) - 1));
     for (uint other = 0; other < axis; ++other)
@@ -56,7 +56,7 @@ uint vertex_of(TILES, __global const ulong *cut_edges, __global const uint *firs
 }
 
 // A triangle: it is the k-th of its tile, cube by cube.
-__kernel void place_triangle(__global const uint *codes, const uint n, TILES, PYRAMID,
+__kernel void place_triangle(__global const ulong *codes, const uint n, TILES, PYRAMID,
                              __global const ulong *cut, __global const uchar *cases,
                              __global const ulong *cut_edges, __global const uint *first,
                              __global uint *triangles)
@@ -69,7 +69,7 @@ __kernel void place_triangle(__global const uint *codes, const uint n, TILES, PY
     uint k = found.y, cube = 0;
     for (; k >= TRIANGLE_COUNT[each[cube]]; ++cube)
         k -= TRIANGLE_COUNT[each[cube]];
-    const ulong cell = (ulong)codes[found.x] << 6 | nth_bit(cut[found.x], cube);
+    const ulong cell = codes[found.x] << 6 | nth_bit(cut[found.x], cube);
     __constant const uchar *edge = TRIANGLES + 3 * (MAX_TRIANGLES * each[cube] + k);
     for (uint i = 0; i < 3; ++i) {
         const uint corner = edge[i] / 3, rows = corner / CORNERS_ALONG;

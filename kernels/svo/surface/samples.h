@@ -30,10 +30,10 @@ typedef DIFFERENCE difference; // of coverages, in units of `isovalue`
 
 tile_samples samples_of(TILES, SAMPLES, ulong tile)
 {
-    const uint slot = tile >> 6 < words ? slot_of(present, ranks, tile) : NOWHERE;
+    const uint slot = slot_of(THESE_WORDS, present, ranks, tile);
     tile_samples found = {0, 0};
     if (slot == NOWHERE)
-        found.all = tile >> 6 < words && (inside[tile >> 6] >> (tile & 63) & 1) ? full : 0;
+        found.all = mask_of(THESE_TILES, tile) & 1 ? full : 0;
     else if (source[slot] == NOWHERE)
         found.all = masks[slot] & 1 ? full : 0;
     else

@@ -52,8 +52,8 @@ bool plane_of(__global const double *corners, __global const int *faces, uint fa
 }
 
 // The crossing of the link from a voxel to the next along an axis, of which one is inside; false if
-// the source does not cross it. Of several, one whose face looks from the inside voxel to the outside
-// one, if there is one; of these the nearest to the inside voxel; of these the first face.
+// the source does not cross it. If there are several, the order is: a face that looks from the inside
+// voxel to the outside one; the nearest to the inside voxel; the first face.
 bool crossing_of_link(SOURCE, int3 voxel, uint axis, bool is_inside, plane *best)
 {
     __global const ulong *keys = axis == 0 ? keys_x : axis == 1 ? keys_y : keys_z;
@@ -97,14 +97,14 @@ int3 steps_to(double3 at)
 // Places the vertex of each loop, within REACH of its cell: kinds[i] says how it was found. `packed`
 // holds the best places in the cells, `means` those of the crossings, and `errors` the squared
 // distances to the planes, from the corner of the cell.
-__kernel void place_features(__global const uint *codes, const uint n, CUBES, SOURCE,
+__kernel void place_features(__global const ulong *codes, const uint n, CUBES, SOURCE,
                              const int shift, __global int *points, __global ulong *packed,
                              __global ulong *means, __global uchar *kinds, __global qef *errors)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift;
+    const int3 corner = cell_coordinates(codes[gid] << 6) - shift;
     const double3 low = (double)NEAREST / LATTICE, high = 1 - low;
     size_t vertex = first[gid];
     uint k = 0;

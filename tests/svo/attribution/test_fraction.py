@@ -237,3 +237,20 @@ def test_drivers_agree_and_far_large_meshes_keep_their_volume(device) -> None:
         triangles = triangles[:, ::-1]
     job = plan_fractions(mesh, grid((9, 7, 6)), fill="parity", device=device)
     check_oracle([job.run()], triangles)
+
+
+def test_fractions_of_deep_grids_are_those_of_shallow_ones(device) -> None:
+    """Rows are walked only near the mesh, along all axes; the vertices lie on both lattices."""
+    vertices, faces = meshes.tetrahedron((9, 8, 7), (60, 11, 12), (14, 55, 9), (13, 17, 61))
+    found = {}
+    for dim, corner in ((64, (0, 0, 0)), (65_536, (1024, 65_472, 64)), (4096, (64, 0, 4032))):
+        grid = voxtool.Grid((dim,) * 3, tuple(-c for c in corner), (1, 1, 1))
+        octree = voxtool.voxelize(
+            (vertices, faces), grid, mode="fraction", face_fractions=True, device=device
+        )
+        values = [octree.attribute(name).values for name in ("fraction", "faces")]
+        found[dim] = octree.occupied() - corner, *values
+    assert len(found[64][0]) > 10_000
+    for dim in (4096, 65_536):
+        for own, near in zip(found[dim], found[64], strict=True):
+            np.testing.assert_array_equal(own, near)

@@ -23,7 +23,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain, volume
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface, Lost
-from voxtool.svo.surface.plan import COMPACTIONS, MAX_SAMPLES, SCAN
+from voxtool.svo.surface.plan import COMPACTIONS, NAIVE_SAMPLES, SCAN
 
 pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 
@@ -416,36 +416,75 @@ def test_a_surface_larger_than_predicted_is_refused_once_it_is_counted(device) -
         extract(octree, style=FACES, max_memory=2 * plan.cost.device, device=device)
 
 
-def octree_of_one_voxel(dim: int, voxel: tuple[int, int, int], mode: str) -> voxtool.Octree:
-    return voxtool.Octree.from_voxels([voxel], Grid((dim,) * 3, (0, 0, 0), (1, 1, 1)), mode=mode)
+# Clusters of 24 voxels a side lie at random in a grid, at the low and the high ends of it too.
+CLUSTER = 24
+
+
+def clusters(dim: int, count: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the corners and the voxels of clusters that do not touch each other."""
+    random = np.random.default_rng(seed)
+    corners = [np.zeros(3, int), np.full(3, dim - CLUSTER)]
+    while len(corners) < count:
+        corner = random.integers(0, dim - CLUSTER, 3)
+        if all(abs(corner - c).max() > 2 * CLUSTER for c in corners):
+            corners.append(corner)
+    shapes = [random.random((CLUSTER // 4,) * 3) < 0.6 for _ in corners]
+    shapes = [np.kron(shape, np.ones((4, 4, 4), bool)) for shape in shapes]
+    return [(c, s ^ (random.random(s.shape) < 0.01)) for c, s in zip(corners, shapes, strict=True)]
+
+
+def triangles_of(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return triangles as sorted rows of nine coordinates, each from its lowest corner on."""
+    corners = points[faces]
+    first = np.lexsort(corners.transpose(2, 0, 1)[::-1], axis=-1)[:, 0]
+    turned = corners[np.arange(len(corners))[:, None], (first[:, None] + np.arange(3)) % 3]
+    return np.unique(turned.reshape(-1, 9), axis=0)
 
 
 @pytest.mark.parametrize(
-    ("dim", "voxel"), [(4096, (4, 5, 6)), (8192, (3001, 2002, 1003)), (65536, (3001, 2002, 1003))]
-)
-def test_more_samples_than_codes_have_bits_for_name_a_level_that_works(device, dim, voxel) -> None:
-    octree = octree_of_one_voxel(dim, voxel, "solid")
-    level, refusals = "voxel", 0
-    while True:
-        plan = plan_extract(octree, level=level, isovalue=1e-12).plan
-        try:
-            surface = extract(octree, level=level, isovalue=1e-12, device=device)
-        except MemoryLimitError as error:
-            assert plan.samples > MAX_SAMPLES
-            refusals += 1
-            level = int(re.search(r"that are extracted: choose level (\d+)", str(error))[1])
-        else:
-            break
-    assert refusals == (dim > 4096)
-    assert_manifold(surface)
-    centre = (surface.points.mean(axis=0) / LATTICE * surface.side) // surface.side
-    assert centre.tolist() == [v // surface.side for v in voxel]
+    "request_",
+    [{"style": CUBES}, {"style": CUBES, "level": 1, "isovalue": 0.2}, {"style": NETS},
+     {"style": NETS, "level": 0}, {"style": FACES}, {"style": FACES, "merge": True}],
+)  # fmt: skip
+def test_a_deep_octree_has_the_surfaces_of_its_parts(device, request_) -> None:
+    """Each cluster is extracted by itself from a small grid, whose place is that of its coarsest
+    samples."""
+    parts = clusters(51_200, 5, 3)
+    grid = Grid((51_200,) * 3, (0, 0, 0), (1, 1, 1))
+    voxels = np.concatenate([corner + np.argwhere(shape) for corner, shape in parts])
+    job = plan_extract(voxtool.Octree.from_voxels(voxels, grid), device=device, **request_)
+    found = job.run()
+    wanted, cubes, vertices = [], 0, 0
+    for corner, shape in parts:
+        shift = corner % 8
+        dense = np.pad(shape, [(8 + s, 8) for s in shift])
+        alone = extract(octree_from_dense(dense), device=device, **request_)
+        step = (corner - shift - 8) // alone.side * LATTICE
+        wanted.append(triangles_of(alone.points + step, alone.faces))
+        cubes += alone.cubes
+        vertices += len(alone.points)
+    assert (found.cubes, len(found.points)) == (cubes, vertices)
+    np.testing.assert_array_equal(
+        triangles_of(found.points, found.faces), np.unique(np.concatenate(wanted), axis=0)
+    )
+    assert job.cost.device < 8e6
+    assert len(found.faces) > 500
 
 
-def test_without_an_inside_no_level_is_named(device) -> None:
-    octree = octree_of_one_voxel(8192, (9, 9, 9), "surface26")
-    with pytest.raises(MemoryLimitError, match=r"8192 samples along a side, .* no level fits"):
-        extract(octree, style=FACES, device=device)
+@pytest.mark.parametrize("voxel", [(0, 0, 0), (65_535,) * 3, (32_767, 32_768, 16_383)])
+def test_one_voxel_takes_nothing_for_the_empty_space(device, voxel) -> None:
+    grid = Grid((65_536,) * 3, (0, 0, 0), (1, 1, 1))
+    octree = voxtool.Octree.from_voxels([voxel], grid)
+    for style in (CUBES, FACES, NETS):
+        job = plan_extract(octree, style=style, device=device)
+        surface = job.run()
+        assert (job.cost.device < 20_000, surface.tiles, surface.cubes) == (True, 27, 8)
+        assert_manifold(surface, shells=1, genus=0)
+        assert ((surface.points.min(axis=0) + surface.points.max(axis=0)) / LATTICE).tolist() == [
+            2 * v + 1 for v in voxel
+        ]
+    with pytest.raises(MemoryLimitError, match=f"of {NAIVE_SAMPLES} that are all visited"):
+        job.with_(naive=True).run()
 
 
 def test_the_plan_says_what_is_left_out() -> None:

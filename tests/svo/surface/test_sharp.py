@@ -23,6 +23,7 @@ from voxtool.opencl import Device
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface
 from voxtool.svo.surface.sharp import REACH, find_crossings
+from voxtool.svo.surface.sharp_edges import SPACING
 from voxtool.svo.surface.untangle import untangle, wrong_faces
 
 SHAPES = st.sampled_from([(16, 16, 16), (9, 17, 12)])
@@ -147,6 +148,37 @@ def assert_features_kept(device: Device, mesh: Mesh, surface: Isosurface, pitch:
     for found in (there, back):
         assert np.median(found) <= 0.02
         assert found.max() <= 0.5
+    assert surface.features
+    assert surface.features.farthest
+    assert abs(surface.features.farthest[0] / pitch - there.max()) <= SPACING / 2
+
+
+@pytest.mark.parametrize(("angle", "least"), [(60, 0.0), (20, 1.0), (5, 2.5)])
+def test_how_far_thin_edges_are_is_said(device: Device, angle: float, least: float) -> None:
+    """A wedge whose tip no voxel's centre meets: where it is half a voxel thick or less."""
+    height = np.tan(np.radians(angle))
+    corners = [(x, y * height, z) for x, y in ((0, 0), (1, 0), (1, 1)) for z in (0, 1)]
+    faces = [(0, 4, 2), (1, 3, 5), (0, 2, 3), (0, 3, 1), (2, 4, 5), (2, 5, 3), (0, 1, 5), (0, 5, 4)]
+    mesh = turned(voxtool.mesh_from_arrays(np.array(corners, float), faces), 1)
+    octree = voxtool.voxelize(mesh, dim=96, device=device)
+    job = plan_extract(octree, style="sharp", source=mesh, device=device)
+    surface = job.run()
+    assert surface.features
+    assert surface.features.farthest
+    distance, place = surface.features.farthest
+    assert least <= distance / surface.pitch <= 1.5 + 0.5 / height
+    assert distances(device, surface.mesh(), np.array([place])) == distance
+    assert any("before sharp edges" in note for note in job.notes(surface)) == (
+        distance > surface.pitch
+    )
+    # edges inside the solid, of parts that overlap, do not count
+    inner = meshes.join(meshes.box((0, 0, 0), (9, 9, 9)), meshes.box((3, 3, 3), (6, 6, 6)))
+    both = meshes.mesh_of(*inner)
+    solid = voxtool.voxelize(both, dim=40, fill="nonzero", device=device)
+    found = extract(solid, style="sharp", source=both, device=device).features
+    assert found
+    assert found.farthest
+    assert found.farthest[0] < 0.5 * solid.grid.pitch[0]
 
 
 @pytest.mark.slow
@@ -312,3 +344,23 @@ def test_refusals(device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     placed = voxtool.extract("unit.svo.h5", style="sharp", source="box.obj", device=device)
     assert placed.features is not None
     assert placed.features.open == 0
+
+
+def test_sharp_surfaces_of_the_deepest_grids_are_those_of_shallow_ones(device: Device) -> None:
+    """Links beyond the last voxel of 65,536 are crossed, too."""
+    mesh = turned(meshes.mesh_of(*meshes.box((0, 0, 0), (7, 7, 7))), 2)
+    mesh = Mesh(np.floor((mesh.vertices - mesh.bounds[0]) * 256) / 256 + 0.25, mesh.faces)
+    found = []
+    for dim, corner in ((16, 0), (65_536, 65_520)):
+        grid = Grid((dim,) * 3, (-float(corner),) * 3, (1.0, 1.0, 1.0))
+        octree = voxtool.voxelize(mesh, grid, device=device)
+        surface = extract(octree, style="sharp", source=mesh, device=device)
+        found.append((surface.points.astype(np.int64) - corner * LATTICE, surface.faces))
+    full = meshes.mesh_of(*meshes.box((65_519.75,) * 3, (65_536.25,) * 3))
+    octree = voxtool.voxelize(full, Grid((65_536,) * 3, (0, 0, 0), (1, 1, 1)), device=device)
+    assert octree.count == 16**3
+    surface = extract(octree, style="sharp", source=full, device=device)
+    assert surface.features
+    assert surface.features.open == 0
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -20,7 +20,7 @@ from voxtool.adf.raycast import checked_offset, local_offset
 from voxtool.adf.surface import dual
 from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.adf.surface.leaves import COORDINATE_BITS, Leaves, vertices_near
-from voxtool.adf.surface.placing import place_crossings, place_loops
+from voxtool.adf.surface.placing import CLEAR, MARGIN, place_crossings, place_loops
 from voxtool.adf.surface.sharp import Features, apart, nearest_planes, place_features
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Job, one_call
@@ -226,8 +226,11 @@ class FieldSurfaceJob(Job[FieldSurface]):
             loops, count = dual.find_loops(crossings, segments)
             doubled = dual.doubled(segments, loops)
         with self.stage("vertices"):
-            places = place_crossings(leaves, vertices, crossings)
-            smooth, of = place_loops(field, leaves, crossings, loops, count, places, offset)
+            margin = CLEAR if self._distance else MARGIN
+            places = place_crossings(leaves, vertices, crossings, margin)
+            smooth, of = place_loops(
+                field, leaves, vertices, crossings, loops, count, places, offset
+            )
             extra = np.full(loops.shape, -1)
             for ends in (segments.first[doubled], segments.second[doubled]):
                 extra[tuple(ends.T)] = count + np.arange(len(doubled))
@@ -284,6 +287,35 @@ class FieldSurfaceJob(Job[FieldSurface]):
         size = np.ldexp(1.0, -leaves.levels[of])
         with distance.device.stage("features"):
             return place_features(distance.device, low, size, loop, on[crossing], normals[crossing])
+
+    def notes(self, result: FieldSurface) -> Iterator[str]:
+        """Yield the shells and the volume beside those of a mesh thinner than leaves, if it has
+        other shells."""
+        thin = self._thin(result)
+        if thin and thin["shells"] != result.check()["shells"]:
+            yield self._beside(result, thin)
+
+    def details(self, result: FieldSurface) -> Iterator[str]:
+        """Yield the same if it has as many shells."""
+        thin = self._thin(result)
+        if thin and thin["shells"] == result.check()["shells"]:
+            yield self._beside(result, thin)
+
+    def _thin(self, result: FieldSurface) -> dict[str, Any]:
+        """Return what the field says of a mesh thinner than its leaves; {} for another surface."""
+        thin = self.field.reached.get("thin")
+        if not isinstance(thin, dict) or not {"leaves", "shells", "volume"} <= set(thin):
+            return {}
+        return {} if result.offset or result.shell else thin
+
+    @staticmethod
+    def _beside(result: FieldSurface, thin: dict[str, Any]) -> str:
+        found = result.check()
+        return (
+            f"the mesh is thinner than {count_of(thin['leaves'], 'leaf')}: the surface has "
+            f"{count_of(found['shells'], 'shell')} and volume {found['volume']:.6g}, the mesh "
+            f"{count_of(thin['shells'], 'shell')} and volume {thin['volume']:.6g}"
+        )
 
     def findings(self, result: FieldSurface) -> Iterator[str]:
         """Yield why the surface is empty, or that it leaves the cube."""

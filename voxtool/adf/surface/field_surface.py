@@ -57,14 +57,14 @@ class FieldSurface(Data):
 
     @property
     def text(self) -> str:
-        """What the surface is, for people."""
+        """The kind of surface, in words."""
         wall = "" if self.shell is None else f", a wall of {self.shell:g} inward"
         sharp = "" if self.tangled is None else "sharp "
         return f"{sharp}surface at distance {self.offset:g}{wall}"
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What it is, its size and its digest, in JSON types."""
+        """The kind of surface, its size and its digest, in JSON types."""
         return {
             "offset": self.offset,
             "shell": self.shell,

@@ -1,9 +1,10 @@
 """The leaves that a surface of a field may pass, and the vertices of these.
 
-A vertex is inside where its value is below the offset. Leaves that share a vertex may have
-different values there: hanging vertices are rounded, and a field may have cracks. The finest leaf
-decides; of several, the last along the Morton curve. Vertices on the sides of the cube are outside,
-so that a surface that leaves the cube is closed there.
+A vertex is inside where its value is below the offset, by more than the rounding of distances: so
+vertices on the surface have one side, not those that rounding gives them. Leaves that share a
+vertex may have different values there: hanging vertices are rounded, and a field may have cracks.
+The finest leaf decides; of several, the last along the Morton curve. Vertices on the sides of the
+cube are outside, so that a surface that leaves the cube is closed there.
 
 A leaf is near the surface if it lies in a cell of a coarse grid, or beside one, where some value is
 inside and some is not. All leaves at a vertex whose values disagree are near, and all leaves at an
@@ -20,6 +21,7 @@ import numpy as np
 from voxtool.adf.cells import cell_of
 from voxtool.adf.field import DistanceField
 from voxtool.adf.raycast import refined_children
+from voxtool.adf.surface.thin import ROUNDING, beside_thin, join_specks
 from voxtool.morton import morton_decode
 
 GRID_LEVEL = 8  # of the coarse grid, at most
@@ -76,7 +78,7 @@ class Vertices:
 
     leaves : (k,) int64, these leaves; corners : (k, 8) int64, their vertices, x changes fastest.
     places : (v, 3) int64, in edges of the deepest leaves; values : (v,) float64, less the offset;
-    inside : (v,) bool.
+    inside : (v,) bool. Those that are inside though their values are not are beside thin parts.
     """
 
     leaves: np.ndarray
@@ -88,11 +90,17 @@ class Vertices:
 
 def vertices_near(field: DistanceField, leaves: Leaves, offset: np.float32) -> Vertices:
     """Return the vertices of the leaves near the surface at an offset, in sides."""
-    near = _near(field, leaves, offset)
+    below = field.voxels < offset - ROUNDING
+    thin = offset >= 0 and field.reached.get("thin")
+    if thin:
+        below |= beside_thin(field, offset)
+    near = _near(leaves, below)
     near = near[np.argsort(leaves.levels[near], kind="stable")]  # of equal ones, the last decides
     depth, x, y, z = leaves.depth, *CORNERS[leaves.octants[near]].T
-    values = np.stack(
-        [field.voxels[leaves.blocks[near], z + k, y + j, x + i] for i, j, k in CORNERS], axis=1
+    block = leaves.blocks[near]
+    values, inner = (
+        np.stack([of[block, z + k, y + j, x + i] for i, j, k in CORNERS], axis=1)
+        for of in (field.voxels, below)
     )
     shift = depth - leaves.levels[near]
     places = (leaves.cells(near)[:, None] + CORNERS) << shift[:, None, None]
@@ -102,18 +110,19 @@ def vertices_near(field: DistanceField, leaves: Leaves, offset: np.float32) -> V
     numbers = np.empty(keys.size, np.int64)
     numbers[order] = np.cumsum(first) - 1
     if not len(near):
-        return Vertices(near, keys, places[:, 0], values[:, 0].astype(np.float64), values[:, 0] < 0)
+        return Vertices(near, keys, places[:, 0], values[:, 0].astype(np.float64), inner[:, 0])
     chosen = np.maximum.reduceat(order, np.flatnonzero(first))
     places, found = places.reshape(-1, 3)[chosen], values.ravel()[chosen]
-    inner = ((places > 0) & (places < 1 << depth)).all(axis=1)
-    inside = (found < offset) & inner
-    less = found.astype(np.float64) - np.float64(offset)
-    return Vertices(near, numbers.reshape(-1, 8), places, less, inside)
+    inside = inner.ravel()[chosen] & ((places > 0) & (places < 1 << depth)).all(axis=1)
+    less, corners = found.astype(np.float64) - np.float64(offset), numbers.reshape(-1, 8)
+    if thin:
+        join_specks(corners, shift == 0, keys.ravel()[chosen], less, inside)
+    return Vertices(near, corners, places, less, inside)
 
 
-def _near(field: DistanceField, leaves: Leaves, offset: np.float32) -> np.ndarray:
-    """Return the leaves near the surface, ascending."""
-    flags = _sides(field.voxels < offset)[:, leaves.blocks, leaves.octants]
+def _near(leaves: Leaves, inside: np.ndarray) -> np.ndarray:
+    """Return the leaves near the surface, ascending; inside: of the vertices of blocks."""
+    flags = _sides(inside)[:, leaves.blocks, leaves.octants]
     top = min(leaves.depth, GRID_LEVEL)
     levels = np.minimum(leaves.levels, top)
     places = leaves.corners >> (leaves.depth - levels)[:, None]

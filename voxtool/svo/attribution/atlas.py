@@ -3,12 +3,14 @@
 Each part keeps its place within the smallest octree cell that holds its voxels. These cells, moved
 to free places of a larger grid in Morton order, largest first, do not touch each other's voxels; a
 move is by whole cells, so nodes of the large octree are nodes of the grid's with another prefix of
-their codes. Parts that reach beyond the grid are not moved, as the grid cuts them off.
+their codes. Parts that reach beyond the grid are not moved, as the grid cuts them off: each of them
+has a voxelization of its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +20,10 @@ from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.attribution.paint import Nodes
+from voxtool.svo.attribution.parts import PartMesh
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
+from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 CELL_BITS = 3  # of the least cell: a level-1 node
 
@@ -127,3 +131,57 @@ class Atlas:
 
 def _shifted(codes: np.ndarray, up: int) -> np.ndarray:
     return codes >> np.uint64(up) if up >= 0 else codes << np.uint64(-up)
+
+
+def plan_parts(
+    mesh: Mesh,
+    own: PartMesh,
+    grid: Grid,
+    mode: str,
+    fill: str,
+    closed_fill: str,
+    gap: int = 0,
+    **request: Any,
+) -> tuple[dict[int, str], Atlas | None, list[VoxelizeJob]]:
+    """Return the parts of a mesh that are voxelized alone, with the reasons; where the others lie,
+    which are closed; and the jobs, that of the others first if there are any. `request` as for
+    plan_voxelize."""
+    fixed = grid.to_fixed(own.points)
+    alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
+    request["gap"] = gap
+    jobs = []
+    atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
+    if atlas:
+        together = atlas.mesh(fixed, own.faces, own.of)
+        jobs.append(plan_voxelize(together, atlas.grid, mode, fill=closed_fill, **request))
+    jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, fill=fill, **request)
+             for part in alone]  # fmt: skip
+    return alone, atlas, jobs
+
+
+def atlas_of(own: PartMesh, fixed: np.ndarray, together: np.ndarray, gap: int) -> Atlas | None:
+    """Return the atlas of some parts, given which of all; None of none."""
+    if not together.any():
+        return None
+    low, high = (corner[together] for corner in voxels_of(own, fixed, gap))
+    return Atlas.of(own.parts[together], low, high)
+
+
+def voxels_of(own: PartMesh, fixed: np.ndarray, gap: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and last voxels, (n, 3) int64 each, that parts may set or make active: those
+    that a box touches, and one more on each side; two and twice the gap more of a flood."""
+    low, high = own.boxes(fixed)
+    more = 1 + 2 * gap
+    low = (low.astype(np.int64) - 1 >> FIXED_POINT_BITS) - more
+    return low, (high.astype(np.int64) >> FIXED_POINT_BITS) + more
+
+
+def _alone(own: PartMesh, fixed: np.ndarray, grid: Grid, fill: str, gap: int) -> dict[int, str]:
+    """Return the parts that are voxelized alone, and why."""
+    low, high = voxels_of(own, fixed, gap)
+    beyond = ((low < 0) | (high >= grid.shape)).any(axis=1)
+    alone = dict.fromkeys(own.parts[beyond].tolist(), "reaches to the side of the grid")
+    if fill not in ("none", "flood"):  # rows that leak would run into other cells
+        for part in own.parts[~own.closed()].tolist():
+            alone.setdefault(part, "not closed: its holes take part in the fill")
+    return dict(sorted(alone.items()))

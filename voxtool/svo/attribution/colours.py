@@ -136,7 +136,7 @@ class AttributePlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not needed, and why."""
+        """Stages and data that the scene does not need, each with the reason."""
         out = dict(self.octree.left_out)
         if "colour" in self.names and not self.texels:
             out["textures"] = "no material has one"
@@ -162,7 +162,7 @@ class AttributePlan:
         }
 
     def described(self) -> dict[str, Any]:
-        """What is stored with the octree, in JSON types."""
+        """The part of the plan that is stored with the octree, in JSON types."""
         colour = {"colour": COLOURS[self.nearest]} if "colour" in self.names else {}
         counts = {"materials": self.materials, "texels": self.texels} if colour else {}
         return {"attributes": list(self.names), **colour, **counts}

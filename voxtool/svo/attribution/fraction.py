@@ -1,4 +1,4 @@
-"""How much of each voxel lies inside a solid, of the mesh on the finest lattice of its grid.
+"""The share of each voxel that lies inside a mesh, which is rounded to the finest lattice.
 
 Along a row of voxels, towards high x, triangles begin and end the inside. By the divergence
 theorem, the volume of a voxel that is inside is the sum, over the parts of triangles in it, of the
@@ -92,7 +92,8 @@ def plan_fractions(
         )
     solid.device.require_float64("fractions")
     caps = (solid.plan.holes, solid.plan.caps)
-    return FractionJob(solid.capped(), FractionPlan(solid.plan, kind, caps, faces))
+    y, z = (bool((solid.lattice.fixed[:, axis] < 0).any()) for axis in (1, 2))
+    return FractionJob(solid.capped(), FractionPlan(solid.plan, kind, caps, faces, (y, z)))
 
 
 def check_type(kind: str) -> None:
@@ -139,6 +140,7 @@ class FractionPlan:
     kind: str
     caps: tuple[int, int] = (0, 0)  # holes that were closed, and the triangles that close them
     faces: bool = False  # whether faces of voxels have shares, too
+    before: tuple[bool, bool] = (False, False)  # along y and z: vertices lie before the grid
 
     @property
     def stages(self) -> list[str]:
@@ -186,7 +188,7 @@ class FractionPlan:
         numbers, voxel = 1, VOXEL_BYTES
         if self.faces:
             x, y, z = self.solid.shape
-            entry += 8 * max(x * y, x * z)
+            entry += 8 * x * (z * self.before[0] + y * self.before[1])
             masks, numbers, voxel = masks + 8 * bricks, 1 + FACES, voxel + FACE_BYTES
         value = 4 + TYPES[self.kind].itemsize
         return Cost(
@@ -223,7 +225,7 @@ class FractionPlan:
 
     @property
     def closing(self) -> str:
-        """What closes the holes, for people."""
+        """The holes and the triangles that close them, in words."""
         holes, caps = self.caps
         return f"{count_of(holes, 'hole')} closed by {count_of(caps, 'cap triangle')}"
 

@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from voxtool.morton import distinct, morton_decode
 from voxtool.opencl import Array, Device, program
 from voxtool.svo.layout import BRICK
 from voxtool.svo.octree import Octree
+from voxtool.svo.plan import CELL
 from voxtool.svo.stored_volume import WHOLE
 
 SOURCE = "svo/attribution/fraction_rows.cl"
@@ -56,7 +58,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class Shares:
-    """What lies inside, in units of 1 / WHOLE.
+    """Shares that lie inside, in units of 1 / WHOLE.
 
     touched : (M,) uint64, the voxels that triangles touch
     bricks : (M,) uint64, the voxels that have a share
@@ -102,10 +104,11 @@ def sum_rows(
     for axis, (areas, start, found) in enumerate(sums):
         if axis_alone not in (None, axis):
             continue
-        p, q = shape[(axis + 1) % 3], shape[(axis + 2) % 3]
+        entry = parts.entries[axis]
+        chosen, n = _bundles(solid, shape, axis, entry is not None)
         rows(
-            -(-p // 8) * -(-q // 8), axis=axis, entry=parts.entries[axis], areas=areas, start=start,
-            **found, **octree,
+            n, axis=axis, chosen=None if chosen is None else device.put(chosen), entry=entry,
+            areas=areas, start=start, **found, **octree,
         )  # fmt: skip
     cut = None
     if faces and axis_alone is None:
@@ -118,3 +121,20 @@ def sum_rows(
         faces.take().reshape(-1, FACES) if faces else None, cut and cut.take(),
         int(wrong.take()[0]),
     )  # fmt: skip
+
+
+def _bundles(
+    solid: Octree, shape: tuple[int, int, int], axis: int, entered: bool
+) -> tuple[np.ndarray | None, int]:
+    """Return the bundles of 8 x 8 rows along an axis that need to be traversed, (n,) uint32, and
+    their number; None: all. If no row begins inside, only those that pass through refined level-1
+    nodes change, which are listed if that is less work."""
+    p, q = (axis + 1) % 3, (axis + 2) % 3
+    along = -(-shape[p] // CELL)
+    count = along * -(-shape[q] // CELL)
+    if entered or len(solid.bricks) // 8 >= count:
+        return None, count
+    level1 = solid.levels(1)[-1]
+    cells = morton_decode(level1.codes[level1.refined])
+    chosen = distinct(cells[:, p] + along * cells[:, q]).astype(np.uint32)
+    return chosen, len(chosen)

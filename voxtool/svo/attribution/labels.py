@@ -20,7 +20,7 @@ import numpy as np
 
 from voxtool.choices import MODES
 from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError, count_of
-from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
@@ -28,7 +28,7 @@ from voxtool.morton import morton_decode
 from voxtool.opencl import Array, Device, default_device
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution import pieces
-from voxtool.svo.attribution.atlas import Atlas
+from voxtool.svo.attribution.atlas import Atlas, plan_parts
 from voxtool.svo.attribution.paint import Nodes, Union, painted, unite
 from voxtool.svo.attribution.parts import PartMesh, parts_of, ranks_of
 from voxtool.svo.connected.about import CONNECTED, RULE, about_connected, united
@@ -79,7 +79,7 @@ class PartLabelsPlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not needed, and why."""
+        """Stages and data that the scene does not need, each with the reason."""
         out = {}
         if not self.alone:
             out["a voxelization for each part"] = "all are closed: they lie side by side in one"
@@ -189,63 +189,9 @@ def plan_labels(
     return PartLabelsJob(mesh, grid, own, ranks, atlas, jobs, plan, device, max_memory)
 
 
-def plan_parts(
-    mesh: Mesh,
-    own: PartMesh,
-    grid: Grid,
-    mode: str,
-    fill: str,
-    closed_fill: str,
-    gap: int = 0,
-    **request: Any,
-) -> tuple[dict[int, str], Atlas | None, list[VoxelizeJob]]:
-    """Return the parts of a mesh that are voxelized alone, with the reasons; where the others lie,
-    which are closed; and the jobs, that of the others first if there are any. `request` as for
-    plan_voxelize."""
-    fixed = grid.to_fixed(own.points)
-    alone = _alone(own, fixed, grid, fill if mode == "solid" else "none", gap)
-    request["gap"] = gap
-    jobs = []
-    atlas = atlas_of(own, fixed, ~np.isin(own.parts, list(alone)), gap)
-    if atlas:
-        together = atlas.mesh(fixed, own.faces, own.of)
-        jobs.append(plan_voxelize(together, atlas.grid, mode, fill=closed_fill, **request))
-    jobs += [plan_voxelize(own.alone(part, mesh), grid, mode, fill=fill, **request)
-             for part in alone]  # fmt: skip
-    return alone, atlas, jobs
-
-
 def dtype_of_labels(n: int) -> str:
     """Return the smallest type of n labels."""
     return "u1" if n <= 1 << 8 else "u2" if n <= 1 << 16 else "u4"
-
-
-def atlas_of(own: PartMesh, fixed: np.ndarray, together: np.ndarray, gap: int) -> Atlas | None:
-    """Return the atlas of some parts, given which of all; None of none."""
-    if not together.any():
-        return None
-    low, high = (corner[together] for corner in voxels_of(own, fixed, gap))
-    return Atlas.of(own.parts[together], low, high)
-
-
-def voxels_of(own: PartMesh, fixed: np.ndarray, gap: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first and last voxels, (n, 3) int64 each, that parts may set or make active: those
-    that a box touches, and one more on each side; two and twice the gap more of a flood."""
-    low, high = own.boxes(fixed)
-    more = 1 + 2 * gap
-    low = (low.astype(np.int64) - 1 >> FIXED_POINT_BITS) - more
-    return low, (high.astype(np.int64) >> FIXED_POINT_BITS) + more
-
-
-def _alone(own: PartMesh, fixed: np.ndarray, grid: Grid, fill: str, gap: int) -> dict[int, str]:
-    """Return the parts that are voxelized alone, and why."""
-    low, high = voxels_of(own, fixed, gap)
-    beyond = ((low < 0) | (high >= grid.shape)).any(axis=1)
-    alone = dict.fromkeys(own.parts[beyond].tolist(), "reaches to the side of the grid")
-    if fill not in ("none", "flood"):  # rows that leak would run into other cells
-        for part in own.parts[~own.closed()].tolist():
-            alone.setdefault(part, "not closed: its holes take part in the fill")
-    return dict(sorted(alone.items()))
 
 
 @dataclass(eq=False)

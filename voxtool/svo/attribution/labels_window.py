@@ -15,7 +15,8 @@ import numpy as np
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.svo.attribution.labels import PartLabelsJob, PartLabelsPlan, atlas_of, voxels_of
+from voxtool.svo.attribution.atlas import atlas_of, voxels_of
+from voxtool.svo.attribution.labels import PartLabelsJob, PartLabelsPlan
 from voxtool.svo.attribution.parts import PartMesh
 from voxtool.svo.voxelize import Window, plan_voxelize
 

@@ -21,8 +21,7 @@ from voxtool.job import Cost
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device
-from voxtool.svo.attribute_levels import BRICKS
-from voxtool.svo.attributes import BITS, Attribute
+from voxtool.svo.attributes import BITS, BRICKS, Attribute
 from voxtool.svo.attribution.fraction import (
     LATTICE_BITS,
     MODE,
@@ -65,7 +64,7 @@ class PartFractionsPlan(PartLabelsPlan):
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not needed, and why."""
+        """Stages and data that the scene does not need, each with the reason."""
         return {"values of whole voxels": "only cut voxels store a fraction"}
 
     def as_dict(self) -> dict[str, Any]:

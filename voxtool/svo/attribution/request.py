@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 from voxtool.choices import COLOURS, FILLS, FRACTION, FRACTION_TYPES, NAMED, PRIORITIES
 from voxtool.errors import VoxtoolError
 from voxtool.grid import Grid
-from voxtool.mesh.appearance import Parts
-from voxtool.mesh.mesh import Mesh
-from voxtool.opencl import Device
-from voxtool.svo.voxelize import VoxelizeJob, Window, check_connected, plan_voxelize
+from voxtool.svo.voxelize import check_connected, plan_voxelize
 
 if TYPE_CHECKING:
+    from voxtool.mesh.appearance import Parts
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
     from voxtool.svo.attribution.colours import SurfaceAttributesJob
     from voxtool.svo.attribution.fraction import FractionJob
     from voxtool.svo.attribution.labels import PartLabelsJob
+    from voxtool.svo.voxelize import VoxelizeJob, Window
 
 
 def plan_octree(

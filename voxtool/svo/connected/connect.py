@@ -16,7 +16,7 @@ import numpy as np
 
 from voxtool.grid import FIXED_POINT_BITS
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.svo.attribution.labels import plan_parts
+from voxtool.svo.attribution.atlas import plan_parts
 from voxtool.svo.attribution.parts import PartMesh
 from voxtool.svo.attribution.pieces import list_pieces
 from voxtool.svo.connected.about import CONNECTED

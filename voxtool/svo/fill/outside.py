@@ -1,4 +1,4 @@
-"""Which components of free space are outside, if several regions have parts of them.
+"""The components of free space that are outside, if several regions have parts of them.
 
 A piece that two regions have is one, so its roots in either are united; so are all pieces beyond
 the grid. Roots of the regions are numbered one region after the other.

@@ -35,9 +35,8 @@ import numpy as np
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, program
-from voxtool.opencl.primitives import exclusive_scan, radix_sort
+from voxtool.opencl.primitives import exclusive_scan, radix_sort, unique
 from voxtool.svo.build import DeviceOctree, build_from_lists
-from voxtool.svo.fill.levels import propagate
 from voxtool.svo.layout import BRICK, BRICK_BYTES, MAX_LINK, NODE_BYTES, VALID
 from voxtool.svo.scan import CROSSED, ActiveNodes, Scan
 
@@ -160,6 +159,8 @@ def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int, by_levels: bool
     device, positions = tree.nodes.device, None
     if by_levels and flips.entry is None:
         with device.stage("levels"):
+            from voxtool.svo.fill.levels import propagate
+
             bricks = propagate(tree, flips.bricks, flips.shape)
         if bricks is not None:
             return Filled(tree, bricks, None)
@@ -210,18 +211,32 @@ def _walk_rows(tree: DeviceOctree, flips: Flips) -> tuple[Array, Array | None, i
     device, coarse = tree.nodes.device, int(tree.offsets[-2])
     entries = device.empty(tree.refined[0].n, np.uint64)
     fills = device.zeros(coarse, np.uint32)
-    sums = device.empty(2 * flips.bundles, np.uint32) if flips.sums else None
-    _sweep_rows(tree, flips, flips.bundles, entries=entries, fills=fills, sums=sums)
+    chosen, n = _crossed_bundles(tree, flips)
+    sums = device.empty(2 * n, np.uint32) if flips.sums else None
+    _sweep_rows(tree, flips, n, chosen=chosen, entries=entries, fills=fills, sums=sums)
     unresolved = device.zeros(1, np.uint32)
     offsets = device.put(tree.offsets)
     tree.kernel(SOURCE, "mark_leaves")(coarse, tree.nodes, offsets, tree.top, fills, unresolved)
     return entries, sums, int(unresolved.take()[0])
 
 
+def _crossed_bundles(tree: DeviceOctree, flips: Flips) -> tuple[Array | None, int]:
+    """Return the bundles that need to be traversed, and their number; None: all. If all rows begin
+    outside, only those that pass through level-1 nodes change, which are listed if that is less
+    work."""
+    level1 = tree.refined[0]
+    if flips.entry is not None or level1.n >= flips.bundles:
+        return None, flips.bundles
+    bundles = tree.nodes.device.empty(level1.n, np.uint32)
+    tree.kernel(SOURCE, "list_bundles")(level1.n, level1.codes, flips.shape, bundles)
+    bundles, _ = radix_sort(bundles, level1.n, (flips.bundles - 1).bit_length())
+    return unique(bundles, level1.n)
+
+
 def _sweep_rows(tree: DeviceOctree, flips: Flips, bundles: int, **recorded: Array | None) -> None:
-    """Traverse all rows and record the states where they enter level-1 nodes in `entries`, and how
-    leaves are filled in `fills`; or traverse the `chosen` bundles and record their `states` in the
-    leaves that are to be refined."""
+    """Traverse rows, all or the `chosen` bundles, and record the states where they enter level-1
+    nodes in `entries`, and how leaves are filled in `fills`; or their `states` in the leaves that
+    are to be refined."""
     arguments: dict[str, Any] = {
         **dict.fromkeys(("chosen", "entries", "fills", "states", "sums")),
         "nodes": tree.nodes,

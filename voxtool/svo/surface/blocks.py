@@ -38,7 +38,7 @@ class BlockSurface:
 
     @property
     def text(self) -> str:
-        """What the surface is, for people."""
+        """The kind of surface, in words."""
         return f"{self.style}, level {self.level}, isovalue {self.isovalue:g}"
 
     @property

@@ -18,6 +18,7 @@ from voxtool.mesh import srgb
 from voxtool.morton import morton_encode
 from voxtool.opencl import Device
 from voxtool.svo.attribute_levels import CellValues
+from voxtool.svo.attributes import COLOUR
 from voxtool.svo.octree import Octree
 from voxtool.svo.painting import part_of, values_of_cubes
 from voxtool.svo.query import OctreeQuery
@@ -25,12 +26,6 @@ from voxtool.svo.surface.isosurface import LATTICE, LATTICE_BITS, in_world
 
 CHUNK = 1 << 17  # vertices or faces at once
 CORNERS = np.indices((2, 2, 2)).reshape(3, -1).T
-COLOUR = "colour"
-
-
-def has_colours(octree: Octree) -> bool:
-    """Return whether the voxels of an octree have colours."""
-    return any(attribute.name == COLOUR for attribute in octree.attributes)
 
 
 def surface_colours(

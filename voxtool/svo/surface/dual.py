@@ -22,27 +22,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.choices import SURFACE_NETS
+from voxtool.choices import MAX_DIM, SURFACE_NETS
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import compact, exclusive_scan, radix_sort, scan_runs
 from voxtool.svo.surface.case_tables import CASES, MAX_LOOPS
 from voxtool.svo.surface.cut_cells import Extracted, Tiles, check_edges, count_lost
-from voxtool.svo.surface.plan import MAX_SAMPLES
-from voxtool.svo.surface.sharp import (
-    Vertices,
-    hold_features,
-    place_features,
-    put_open,
-    split_along_features,
-)
+
+if TYPE_CHECKING:
+    from voxtool.svo.surface.sharp import Vertices
 
 DUAL, RELAX, MERGE = (f"svo/surface/{n}.cl" for n in ("dual", "relax", "greedy_meshing"))
-COORDINATE_BITS = MAX_SAMPLES.bit_length()  # of a corner of a square
-SQUARE_BITS, ROW_BITS = 3 + 3 * COORDINATE_BITS, 3 + 4 * COORDINATE_BITS
+COORDINATE_BITS = MAX_DIM.bit_length()  # of a corner of a square
+KEY_BITS = 3 + 3 * COORDINATE_BITS  # of a square or a row
 BATCH = 64  # vertices that a work-item moves; a power of two, whole vectors
 HEADERS = {"svo/surface/greedy_meshing.h": program.c_constants(COORDINATE_BITS=COORDINATE_BITS)}
 
@@ -90,6 +85,8 @@ def dual_surface(
     features = None
     with device.stage("vertices"):
         if crossings is not None:
+            from voxtool.svo.surface.sharp import place_features
+
             features = place_features(tiles, crossings, cubes.vertices, cubes.arguments)
             points = _between(tiles, cubes, relaxations, lanes, features)
         elif style == SURFACE_NETS and tiles.sampling.binary:
@@ -112,6 +109,8 @@ def dual_surface(
         if features is None:
             triangles = split_quads(tiles, points, quads)
             return Extracted(cubes.n, lost, points, triangles, cubes.arguments["first"], 4)
+        from voxtool.svo.surface.sharp import put_open, split_along_features
+
         put_open(tiles, features, points)
         triangles = split_along_features(tiles, features, points, quads)
     homes = points, _unpacked(tiles, cubes, features.means)
@@ -188,6 +187,8 @@ def _relaxed(
         tiles.n, means=means, packed=packed, batch=batch, **links, **cubes.arguments
     )
     if features is not None:
+        from voxtool.svo.surface.sharp import hold_features
+
         hold_features(tiles, features, packed)
     if relaxations:
         with device.stage("relax"):
@@ -221,13 +222,17 @@ def join_squares(device: Device, points: Array, quads: Array) -> tuple[Array, Ar
     n = quads.size // 4
     keys, order = device.empty(n, np.uint64), device.empty(n, np.uint32)
     device.kernel(MERGE, "key_squares")(n, quads, points, keys, order)
-    keys, order = radix_sort(keys, n, SQUARE_BITS, order)
-    row_start, rows = _runs(device, keys, n)
+    keys, order = radix_sort(keys, n, KEY_BITS, order)
+    flags, places = device.empty(n + 1, np.uint32), device.empty(n, np.uint32)
+    device.kernel(MERGE, "flag_rows")(n, keys, flags, places)
+    row_start, rows = compact(places, flags, n)
     row_keys, row_order = device.empty(rows, np.uint64), device.empty(rows, np.uint32)
     device.kernel(MERGE, "key_rows")(rows, keys, n, row_start, row_keys, row_order)
+    row_keys, row_order = radix_sort(row_keys, rows, KEY_BITS, row_order)
+    device.kernel(MERGE, "flag_columns")(rows, row_keys, row_order, row_start, keys, flags, places)
     del keys
-    row_keys, row_order = radix_sort(row_keys, rows, ROW_BITS, row_order)
-    column_start, count = _runs(device, row_keys, rows)
+    column_start, count = compact(places, flags, rows)
+    del flags, places
 
     rectangles = device.empty(4 * count, np.uint32)
     vertices = points.size // 3
@@ -239,10 +244,3 @@ def join_squares(device: Device, points: Array, quads: Array) -> tuple[Array, Ar
     device.kernel(MERGE, "keep_points")(vertices, points, numbers, kept)
     device.kernel(MERGE, "renumber")(4 * count, rectangles, numbers)
     return kept, rectangles
-
-
-def _runs(device: Device, keys: Array, n: int) -> tuple[Array, int]:
-    """Return the places where runs of keys that rise by one begin, and their number."""
-    flags, places = device.empty(n + 1, np.uint32), device.empty(n, np.uint32)
-    device.kernel(MERGE, "flag_runs")(n, keys, flags, places)
-    return compact(places, flags, n)

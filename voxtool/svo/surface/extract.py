@@ -6,6 +6,7 @@ The stages, on the device [voCCeL, chapter 4 and sections 5.1 and 6.3]:
 2. classify: the case of each cut cube.
 3. vertices, triangles: by marching cubes (marching_cubes.py) or a dual style (dual.py).
 4. self-intersections, of sharp surfaces: removed as far as that can be had (untangle.py).
+5. adaptive cells, if a tolerance is given: fewer triangles where the surface is flat (adaptive.py).
 
 All of it but sharp surfaces is integer arithmetic: the crossing of an edge is rounded once, to
 2**-14 of a sample's side, so the mesh is the same on every device.
@@ -23,6 +24,7 @@ import numpy as np
 from voxtool.choices import (
     DEFAULT_STYLE,
     MARCHING_CUBES,
+    MAX_DIM,
     SHARP,
     STYLE_ALIASES,
     STYLES,
@@ -32,36 +34,25 @@ from voxtool.choices import (
 )
 from voxtool.errors import VoxtoolError, count_of
 from voxtool.job import Job, one_call
+from voxtool.memory import available_memory
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device
+from voxtool.svo.attributes import has_colours
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
-from voxtool.svo.surface.colours import has_colours, surface_colours
-from voxtool.svo.surface.cut_cells import (
-    MAX_LEVEL,
-    Extracted,
-    Sampling,
-    Tiles,
-    Tree,
-    find_tiles,
-    grow_tree,
-    lost_of,
-)
+from voxtool.svo.surface.cut_cells import MAX_LEVEL, Extracted, Tiles, find_tiles, lost_of
 from voxtool.svo.surface.dual import dual_surface
 from voxtool.svo.surface.isosurface import Isosurface, Lost
-from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import (
     COMPACTIONS,
-    MAX_SAMPLES,
-    MERGED_COLOURS,
     RELAXATIONS,
     SCAN,
     ExtractionPlan,
     active_tiles,
+    words_of,
 )
-from voxtool.svo.surface.sharp import crosses_all, find_crossings
-from voxtool.svo.surface.untangle import untangle
+from voxtool.svo.surface.samples import Sampling, Tree, grow_tree
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
@@ -76,20 +67,25 @@ def plan_extract(
     isovalue: float = 0.5,
     merge: bool = False,
     source: Mesh | None = None,
+    adaptive: float | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> ExtractJob:
     """Return the planned job of `extract`; see `voxtool.extract`. `source` may be any mesh in the
     place of the octree: links that it does not cross are closed smoothly."""
     style, level, share = _checked(octree, style, level, isovalue, merge, source)
+    tolerance = _tolerance(adaptive, style, merge)
     tree, plan = _plan(octree, style, level, share, merge)
     coloured = has_colours(octree)
-    plan = replace(plan, coloured=coloured, colours=coloured and not merge)
+    colours = coloured and not merge and tolerance is None
+    plan = replace(plan, coloured=coloured, colours=colours, adaptive=tolerance)
     if has_fractions(octree) and style != VOXEL_FACES:
         plan = replace(plan, fractions=True, relaxations=0)
     device = device or default_device()
     if source is not None:
         plan = replace(plan, corners=len(source.vertices), faces=len(source.faces))
+        from voxtool.svo.surface.sharp import crosses_all
+
         if crosses_all(octree, source, device):
             plan = replace(plan, relaxations=0)
     return ExtractJob(octree, source, tree, plan, device, max_memory)
@@ -161,6 +157,24 @@ def _checked(
     return style, level, share
 
 
+def _tolerance(adaptive: float | None, style: str, merge: bool) -> float | None:
+    """Return the tolerance of a request; raise VoxtoolError if it is none, or does not go with a
+    style."""
+    if adaptive is None:
+        return None
+    try:
+        tolerance = float(adaptive)
+    except (TypeError, ValueError):
+        tolerance = math.nan
+    if not 0 < tolerance < math.inf:  # NaN neither
+        raise VoxtoolError(f"adaptive {adaptive!r}: give a length greater than 0, in world units")
+    if style == SHARP or merge:
+        what = "merged squares" if merge else f"a {SHARP} surface"
+        styles = ", ".join(name for name in STYLES if name != SHARP)
+        raise VoxtoolError(f"{what} cannot be adaptive: choose one of {styles}, without merge")
+    return tolerance
+
+
 def has_fractions(octree: OctreeContent) -> bool:
     """Return whether an octree says how much of each voxel is inside."""
     return any(attribute.name == "fraction" for attribute in octree.attributes)
@@ -209,6 +223,7 @@ def plan_of(
         lanes=None,
         nodes=nodes,
         rooted=rooted,
+        words=words_of(nodes, level),
         tiles=2 * active,
         cubes=cubes,
         edges=cubes,
@@ -224,10 +239,21 @@ def surface_of(
 ) -> Extracted:
     """Return the surface of the tiles; `counted` and `crossings` are those of dual_surface."""
     if plan.style == MARCHING_CUBES:
+        from voxtool.svo.surface.marching_cubes import march_cubes
+
         return march_cubes(tiles, counted, plan.arity)
     lanes = plan.lanes or tiles.device.lanes
     rounds, merge = plan.relaxations, plan.merge
     return dual_surface(tiles, counted, plan.style, rounds, lanes, merge, crossings)
+
+
+def fits_whole(
+    octree: OctreeContent, plan: ExtractionPlan, device: Device, max_memory: int | None
+) -> bool:
+    """Return whether an extraction fits in memory, with the octree."""
+    most = device.max_memory if max_memory is None else max_memory
+    fits = plan.fits(most, device.info.max_allocation)
+    return fits and 2 * octree.nbytes <= available_memory()
 
 
 def _coarsest(octree: OctreeContent) -> int:
@@ -281,7 +307,8 @@ class ExtractJob(Job[Isosurface]):
         """Return a copy of the job with fields of its plan replaced, as `relaxations`; raise
         TypeError if the plan has no such field, or it is of the request; ValueError if the style
         has no such compaction."""
-        if requested := {"style", "level", "isovalue", "merge", "fractions"} & decisions.keys():
+        asked = {"style", "level", "isovalue", "merge", "fractions", "adaptive"}
+        if requested := asked & decisions.keys():
             raise TypeError(f"{', '.join(sorted(requested))}: plan another extraction")
         possible = COMPACTIONS if self.plan.style == MARCHING_CUBES else (SCAN,)
         if (compaction := decisions.get("compaction", SCAN)) not in possible:
@@ -293,12 +320,17 @@ class ExtractJob(Job[Isosurface]):
         sampling = Sampling.of(plan.level, plan.isovalue, plan.fractions)
         allowed = device.max_memory if self.max_memory is None else self.max_memory
 
+        known: dict[str, int] = {}
+
         def counted(**numbers: int) -> None:
-            replace(plan, **numbers).refuse_beyond(allowed, device.info.max_allocation)
+            known.update(numbers)
+            replace(plan, **known).refuse_beyond(allowed, device.info.max_allocation)
 
         tiles = find_tiles(device, self.octree, self._tree, sampling, counted, naive=plan.naive)
         crossings = None
         if self.source is not None:
+            from voxtool.svo.surface.sharp import find_crossings
+
             with device.stage("crossings"):
                 crossings = find_crossings(device, self.source, self.octree.grid)
         found = surface_of(tiles, plan, counted, crossings)
@@ -321,10 +353,17 @@ class ExtractJob(Job[Isosurface]):
             homes = [home.take().reshape(-1, 3) for home in found.homes]
         if homes and len(surface.faces):
             surface = self._untangled(surface, homes)
+        if plan.adaptive is not None and len(surface.faces):
+            with device.stage("adaptive cells"):
+                from voxtool.svo.surface.adaptive import adapt
+
+                surface = adapt(surface, plan.adaptive, device)
         return self._with_colours(surface) if plan.colours else surface
 
     def _with_colours(self, surface: Isosurface) -> Isosurface:
         """Return the surface with the colours of the voxels."""
+        from voxtool.svo.surface.colours import surface_colours
+
         with self.device.stage("colours"):
             colours = surface_colours(
                 self.octree, surface.style, surface.side, surface.points, surface.faces, self.device
@@ -333,6 +372,8 @@ class ExtractJob(Job[Isosurface]):
 
     def _untangled(self, surface: Isosurface, homes: list[np.ndarray]) -> Isosurface:
         """Return a sharp surface whose faces do not intersect, as far as that can be had."""
+        from voxtool.svo.surface.untangle import untangle
+
         with self.device.stage("self-intersections"):
             found = untangle(surface, homes, self.device)
         assert surface.features is not None
@@ -342,6 +383,12 @@ class ExtractJob(Job[Isosurface]):
             crossed=found.crossed,
             undecided=found.undecided,
         )
+        assert self.source is not None
+        from voxtool.svo.surface.sharp_edges import farthest_sharp_edge
+
+        with self.device.stage("sharp edges"), self.device.reporting(lambda _: None):
+            edges = farthest_sharp_edge(self.source, self.octree, found.surface, self.device)
+        features = replace(features, farthest=edges)
         return replace(found.surface, features=features)
 
     def findings(self, result: Isosurface) -> Iterator[str]:
@@ -363,11 +410,21 @@ class ExtractJob(Job[Isosurface]):
             )
 
     def notes(self, result: Isosurface) -> Iterator[str]:
-        """Yield what the samples lose if that is little, and why colours are left out."""
+        """Yield what the samples lose if that is little, how far sharp edges are if that is more
+        than a voxel, and why colours are left out."""
+        if result.features and result.features.farthest:
+            distance, place = result.features.farthest
+            if distance > result.pitch:
+                spot = ", ".join(f"{value:.6g}" for value in place)
+                yield (
+                    f"the surface ends up to {distance:.3g}, {distance / result.pitch:.3g} voxels, "
+                    f"before sharp edges of the source, near {spot}: choose smaller voxels"
+                )
         if result.lost.vanished and not is_much(result.lost, self.octree.count):
             yield self._losses(result)
-        if self.plan.coloured and self.plan.merge:
-            yield f"colours are left out: {MERGED_COLOURS}; without --merge they are written"
+        if self.plan.coloured and (reason := self.plan.colourless):
+            option = "--merge" if self.plan.merge else "--adaptive"
+            yield f"colours are left out: {reason}; without {option} they are written"
 
     def details(self, result: Isosurface) -> Iterator[str]:
         """Yield which voxels the samples round off, and which vertices no plane places."""
@@ -391,8 +448,8 @@ class ExtractJob(Job[Isosurface]):
             return "a lower isovalue may keep them"
         finer = BRICK_SIDE * self.octree.grid.dim
         hints = []
-        if _plan(self.octree, SURFACE_NETS, "voxel", 0.5)[1].samples <= MAX_SAMPLES:
+        if self.plan.level != VOXEL_LEVEL:
             hints.append(f"--level {VOXEL_LEVEL} --style {SURFACE_NETS} keeps them all")
-        if finer <= BRICK_SIDE * MAX_SAMPLES:
+        if finer <= MAX_DIM:
             hints.append(f"voxelizing with --dim {finer} may keep them")
         return ", ".join(hints) or "a lower isovalue may keep them"

@@ -45,13 +45,26 @@ class Lost:
 @dataclass(frozen=True)
 class Features:
     """Numbers of vertices of a sharp surface that are not where the planes of their crossings meet
-    best, and of its faces that others pass through."""
+    best, and of its faces that others pass through; how far the source's sharp edges are."""
 
     constrained: int  # that would lie far outside their cell, and are at the best place within it
     open: int  # whose links the source does not cross: placed as those of surface nets
     moved: int = 0  # towards their cell or the mean of their crossings, for faces not to intersect
     crossed: int = 0  # faces that others pass through
     undecided: int = 0  # faces too near to too many others to tell
+    # the largest distance of the source's sharp edges from the surface, and where, world units;
+    # None without such edges
+    farthest: tuple[float, tuple[float, ...]] | None = None
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """What the cells of different size of a surface save, and how far they take it."""
+
+    tolerance: float  # of its distance from the uniform surface and back, world units
+    uniform: int  # triangles of the uniform surface
+    furthest: float  # the largest distance that was found, world units: at most the tolerance
+    rounds: int  # in which cells were merged, each with fewer of them
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,6 +97,8 @@ class Isosurface(Data):
         coplanar squares are joined (greedy meshing), which leaves T-junctions.
     features
         numbers of vertices of a sharp surface, or None.
+    adaptive
+        what its cells of different size save, or None.
     colours
         (V, 4) uint8, sRGB and opacity of the vertices, or (F, 4) of the triangles of voxel faces;
         None if the octree has no colours, or they were not requested.
@@ -102,6 +117,7 @@ class Isosurface(Data):
     lost: Lost
     merged: bool = False
     features: Features | None = None
+    adaptive: Adaptive | None = None
     colours: np.ndarray | None = None
 
     def __repr__(self) -> str:
@@ -117,7 +133,7 @@ class Isosurface(Data):
 
     @property
     def text(self) -> str:
-        """What the surface is, for people."""
+        """The kind of surface, in words."""
         return f"{self.style}, level {self.level}, isovalue {self.isovalue:g}"
 
     @cached_property
@@ -128,8 +144,8 @@ class Isosurface(Data):
     @cached_property
     def volume(self) -> float:
         """The volume that the surface encloses, in cubic world units: the exact number, rounded
-        once; of a merged surface, rounded in each triangle."""
-        if self.merged:
+        once; of a merged or adaptive surface, rounded in each triangle."""
+        if self.merged or self.adaptive:
             return volume_of(self.mesh())
         return enclosed(six_volumes(self.points, self.faces), self.side, self.grid)
 
@@ -167,8 +183,8 @@ class Isosurface(Data):
 
     def check(self) -> dict[str, Any]:
         """Return whether the surface is closed, its volume in cubic world units, and the counts of
-        check_surface; of a merged surface, whose edges end within others, no counts. Of a sharp
-        surface also the numbers of faces that others pass through, and where that is undecided."""
+        check_surface; a merged surface, whose edges end within others, has no counts. A sharp
+        surface also has the numbers of faces that others pass through, and of undecided ones."""
         mesh = self.mesh()
         if self.merged:
             return {"closed": closed_chain(mesh), "t_junctions": True, "volume": self.volume}
@@ -189,10 +205,12 @@ class Isosurface(Data):
         )
 
     def digest(self) -> str:
-        """Return the SHA-256 of grid, style, level, isovalue, points and faces, and of colours if
-        there are any, in little-endian order. Equal content has an equal digest on every device and
-        platform."""
+        """Return the SHA-256 of grid, style, level, isovalue, points and faces, and of the adaptive
+        tolerance and colours if there are any, in little-endian order. Equal content has an equal
+        digest on every device and platform."""
         head = head_of(self.grid, self.style, self.level, self.isovalue, self.merged)
+        if self.adaptive:
+            head["adaptive"] = self.adaptive.tolerance.hex()
         colours = [] if self.colours is None else [self.colours]
         return digest_of(head, self.points, self.faces, *colours)
 

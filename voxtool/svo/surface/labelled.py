@@ -25,10 +25,11 @@ from voxtool.job import Cost, Job
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import closed_chain
 from voxtool.opencl import Device
+from voxtool.svo.attributes import has_colours
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.borders import AT_ONCE, Blocks, find_borders
-from voxtool.svo.surface.colours import has_colours, surface_colours
+from voxtool.svo.surface.colours import surface_colours
 from voxtool.svo.surface.isosurface import enclosed, in_world, painted, six_volumes
 from voxtool.svo.surface.junctions import corner_points, net_of, relaxed_points, split
 from voxtool.svo.surface.plan import RELAXATIONS
@@ -84,7 +85,7 @@ class LabelledSurface(Data):
 
     @property
     def text(self) -> str:
-        """What the surface is, for people."""
+        """The kind of surface, in words."""
         return f"{self.style}, {len(self.labels):,} labels"
 
     @cached_property

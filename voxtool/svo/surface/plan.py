@@ -12,19 +12,22 @@ from voxtool.job import Cost
 from voxtool.opencl.histopyramid import pyramid_bytes
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.svo.layout import BRICK_BYTES
+from voxtool.svo.octree import VOXEL
+from voxtool.svo.surface.samples import WORD_LEVELS
 
-MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
-NAIVE_SAMPLES = 1024  # and if every cube is visited: 32 bits count their edges
-TILE_BYTES = 124  # on the device: of a tile,
+BESIDE, MOST_BESIDE = 6, 27  # words beside a word of a surface, and beside a single one
+NAIVE_SAMPLES = 1024  # along a side, if every cube is visited: 32 bits count their edges
+WORD_BYTES = 52  # on the device: of a word of tiles,
+TILE_BYTES = 128  # of a tile,
 EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 36, SURFACE_NETS: 96, SHARP: 280}  # a cut edge,
 MERGE_BYTES = 80  # and one of voxel faces that are merged
 SOURCE_BYTES = 60, 24  # of a sharp surface: of a vertex of the source, and of a face
+ADAPTIVE_BYTES = 1500  # on the host: of a cut edge, whose vertices and faces are merged
 COLOURED_BYTES, COLOUR_BYTES = 100, 8  # on the host: of a brick with colours, of a cut edge
 SCAN = "scan"
 # How marching cubes find the places of outputs, and the arity of the pyramid. A GPU is said to gain
 # by pyramids [Dyken 2008]; none was measured here, and on a CPU the scan is faster.
 COMPACTIONS = {SCAN: None, "pyramid-2": 2, "pyramid-4": 4, "pyramid-5": 5}
-MERGED_COLOURS = "squares of several colours are merged"
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 
@@ -40,8 +43,10 @@ class ExtractionPlan:
     lanes: int | None  # vertices that a work-item moves side by side; None: what suits the device
     nodes: tuple[int, ...]  # numbers of nodes of the levels, level 0 first, with added roots
     rooted: bool  # roots were added, because cubes begin below the octree's low sides
-    # predicted, then counted: tiles of 4 x 4 x 4 samples that are examined, cubes and edges that
-    # are cut; what lies between leaves without nodes is not predicted
+    # predicted, then counted: words of 4 x 4 x 4 tiles, tiles of 4 x 4 x 4 samples that are
+    # examined, cubes and edges that are cut; what lies between leaves without nodes is not
+    # predicted
+    words: int
     tiles: int
     cubes: int
     edges: int
@@ -53,6 +58,7 @@ class ExtractionPlan:
     compaction: str = SCAN  # of COMPACTIONS; of marching cubes
     coloured: bool = False  # the octree's voxels have colours
     colours: bool = False  # and so will the surface
+    adaptive: float | None = None  # how far cells of different size may take it, world units
 
     @property
     def voxels(self) -> bool:
@@ -75,7 +81,9 @@ class ExtractionPlan:
             "triangles": True,
             "read back": True,
             "self-intersections": self.style == SHARP,
-            "tree": self.style == SHARP,
+            "adaptive cells": self.adaptive is not None,
+            "tree": self.style == SHARP or self.adaptive is not None,
+            "sharp edges": self.style == SHARP,
             "colours": self.colours,
         }
         return [stage for stage, runs in stages.items() if runs]
@@ -87,14 +95,16 @@ class ExtractionPlan:
         return max(side // (1 if isinstance(self.level, str) else 4 << self.level), 1)
 
     @property
-    def most_samples(self) -> int:
-        """The most samples along a side that are extracted."""
-        return NAIVE_SAMPLES if self.naive else MAX_SAMPLES
-
-    @property
     def visited(self) -> int:
         """Tiles that are examined."""
         return max(self.samples**3 // 64, 1) if self.naive else self.tiles
+
+    @property
+    def colourless(self) -> str:
+        """Why the surface of an octree with colours has none; "" if nothing in it says so."""
+        if self.merge:
+            return "squares of several colours are merged"
+        return "cells of several colours are merged" if self.adaptive is not None else ""
 
     @property
     def arity(self) -> int | None:
@@ -109,7 +119,7 @@ class ExtractionPlan:
         if self.level not in ("voxel", 0):
             octree += 4 * self.nodes[1]  # coverages
         sample = 2 if self.fractions else 0 if self.voxels else 1 if self.level == 0 else 4
-        tiles = 28 * max(self.samples**3 // 4096, 1) + TILE_BYTES * self.visited
+        tiles = WORD_BYTES * self.words + TILE_BYTES * self.visited
         tiles += (64 * sample + 12 * (sample > 0)) * active_tiles(self.nodes, self.level)
         if self.arity is not None:
             tiles += pyramid_bytes(self.visited, 3, self.arity)
@@ -117,33 +127,37 @@ class ExtractionPlan:
         source = corner * self.corners + face * self.faces
         edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
         apart = untangling_bytes(self.edges) if self.style == SHARP else 0
+        adaptive = self.adaptive is not None
+        apart += proving_bytes(2 * self.edges) if adaptive else 0
         return Cost(
             device=octree + tiles + max(edge * self.edges + source, apart),
-            largest=max(bricks, self.samples**3 // 512, 64 * self.visited, 28 * self.edges),
-            host=(COLOURED_BYTES * self.nodes[0] + COLOUR_BYTES * self.edges) * self.colours,
+            largest=max(bricks, 16 * self.words, 64 * self.visited, 28 * self.edges),
+            host=(COLOURED_BYTES * self.nodes[0] + COLOUR_BYTES * self.edges) * self.colours
+            + ADAPTIVE_BYTES * self.edges * adaptive,
         )
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
-        """True if memory and Morton codes suffice."""
-        enough = not self.cost.shortage(max_memory, max_allocation)
-        return enough and self.samples <= self.most_samples
+        """True if memory suffices."""
+        return not self.cost.shortage(max_memory, max_allocation)
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, which names the finest level that fits, if the extraction needs
-        more bytes, in total or in one buffer, or more samples along a side than `most_samples`."""
+        more bytes, in total or in one buffer, or visits all of more samples than NAIVE_SAMPLES
+        along a side."""
+        if self.naive and self.samples > NAIVE_SAMPLES:
+            raise MemoryLimitError(
+                f"level {self.level} has {self.samples} samples along a side, of {NAIVE_SAMPLES} "
+                "that are all visited: leave out naive"
+            )
         if self.fits(max_memory, max_allocation):
             return
-        coarser = (replace(plan, naive=self.naive) for plan in self.coarser())
+        own = {"naive": self.naive, "adaptive": self.adaptive}
+        coarser = (replace(plan, **own) for plan in self.coarser())
         fitting = (plan.level for plan in coarser if plan.fits(max_memory, max_allocation))
         level = next(fitting, None)
         hint = "no level fits" if level is None else f"choose level {level}"
         if self.naive:
             hint += ", or leave out naive"
-        if self.samples > self.most_samples:
-            raise MemoryLimitError(
-                f"level {self.level} has {self.samples} samples along a side, of "
-                f"{self.most_samples} that are extracted: {hint}"
-            )
         raise MemoryLimitError(
             f"a {self.style} surface of level {self.level} "
             f"{self.cost.shortage(max_memory, max_allocation)}: {hint}; or allow more (see "
@@ -177,7 +191,7 @@ class ExtractionPlan:
         if not self.merge:
             out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
         if self.coloured and not self.colours:
-            out["colours"] = MERGED_COLOURS if self.merge else "the mesh is written without"
+            out["colours"] = self.colourless or "the mesh is written without"
         return out
 
     def as_dict(self) -> dict[str, Any]:
@@ -188,6 +202,7 @@ class ExtractionPlan:
             "samples_along_side": self.samples,
             "stages": self.stages,
             "left_out": self.left_out,
+            **({} if self.adaptive is None else {"adaptive_tolerance": self.adaptive}),
             "predicted_tiles": self.visited,
             "predicted_cut_cubes": self.cubes,
             "predicted_device_bytes": self.cost.device,
@@ -198,7 +213,8 @@ class ExtractionPlan:
         samples = "fractions" if self.fractions else "samples"
         surface = f"{self.style}, level {self.level}: {self.samples} {samples} along the root"
         cubes = f"about {self.cubes:,}, in {self.visited:,} tiles"
-        return [("surface", surface), ("cut cubes", cubes)]
+        cells = [] if self.adaptive is None else [("adaptive", f"within {self.adaptive:g}")]
+        return [("surface", surface), *cells, ("cut cubes", cubes)]
 
 
 def untangling_bytes(edges: int) -> int:
@@ -207,9 +223,28 @@ def untangling_bytes(edges: int) -> int:
     return tree_bytes(2 * edges) + 80 * edges
 
 
+def proving_bytes(faces: int) -> int:
+    """Return the bytes on the device of the distances between two surfaces, each of up to so many
+    faces."""
+    from voxtool.spatial.distance import POINT_BYTES, POINTS_AT_ONCE, rounded_bytes
+    from voxtool.spatial.hausdorff import PART_BYTES, PIECES_AT_ONCE
+
+    trees = 2 * (tree_bytes(faces) + rounded_bytes(faces))
+    pieces = PART_BYTES * min(PIECES_AT_ONCE, faces)
+    return trees + POINT_BYTES * min(POINTS_AT_ONCE, faces) + pieces
+
+
 def active_tiles(nodes: tuple[int, ...], level: int | str) -> int:
     """Return the number of tiles that have nodes: one for each brick, or for 64 nodes that are
     samples."""
     if isinstance(level, str):  # voxel
         return nodes[0]
     return nodes[level + 1] // 8 if level + 1 < len(nodes) - 1 else 1
+
+
+def words_of(nodes: tuple[int, ...], level: int | str) -> int:
+    """Return the predicted number of words of tiles: those that are refined nodes, and as many as
+    a surface has beside them."""
+    own = WORD_LEVELS + (VOXEL if isinstance(level, str) else level)
+    refined = nodes[own - 1] // 8 if own < len(nodes) else 1
+    return MOST_BESIDE + BESIDE * refined

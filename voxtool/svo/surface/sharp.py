@@ -111,16 +111,16 @@ def find_crossings(device: Device, mesh: Mesh, grid: Grid) -> dict[str, Any]:
 
 
 def _scan_along(device: Device, mesh: Mesh, grid: Grid, axis: int) -> Scan:
-    """Return the scan of a mesh whose coordinates are rotated so that an axis comes first, with a
-    voxel more along it: the last link ends beyond the grid."""
+    """Return the scan of a mesh whose coordinates are rotated so that an axis comes first, of a
+    voxel more along it: the last link ends beyond the grid, which may have no larger side."""
     order = [(axis + i) % 3 for i in range(3)]
     nx, ny, nz = (grid.shape[i] for i in order)
     origin, pitch = (tuple(values[i] for i in order) for values in (grid.origin, grid.pitch))
-    rotated = Grid((nx + 1, ny, nz), origin, pitch)  # pyright: ignore[reportArgumentType]
+    rotated = Grid((nx, ny, nz), origin, pitch)  # pyright: ignore[reportArgumentType]
     turned = Mesh(np.ascontiguousarray(mesh.vertices[:, order]), mesh.faces)
     lattice = place_mesh(turned, rotated, None, None, None, device)
     request: dict[str, Any] = {"mode": "solid", "fill": "nonzero", "gap": 0, "holes": 0, "caps": 0}
-    return Scan(lattice, plan_of(lattice.survey(), rotated.shape, **request))
+    return Scan(lattice, plan_of(lattice.survey(), (nx + 1, ny, nz), **request))
 
 
 def place_features(

@@ -60,7 +60,8 @@ function evaluated(points, s) {
 }
 
 /** The rows of the shader's texture, 12 numbers for each interval of normalised scalars: the scalar
- * at its low end, 1 / width, red, green, blue, extinction there, and how these change.
+ * at its low end, 1 / width, red, green, blue, extinction there, how these change, and the width, which is
+ * not 0 where float32 does not tell the points apart.
  * @param {ControlPoint[]} points @param {number[]} range of scalars
  * @param {number} scale world units a local one */
 function transferRows(points, range, scale) {
@@ -77,11 +78,10 @@ function transferRows(points, range, scale) {
   const shown = found.map(([s, r, g, b, e]) => [(s - low) / (high - low || 1), r, g, b, e * scale]);
   const rows = new Float32Array(12 * (shown.length + 1));
   for (let i = 0; i <= shown.length; ++i) {
-    const from = shown[Math.max(i - 1, 0)];
-    const to = i === 0 ? from : shown[Math.min(i, shown.length - 1)];
-    const width = to[0] - from[0];
-    const changes = width > 1e-30 ? to.slice(1).map((v, c) => v - from[c + 1]) : [0, 0, 0, 0];
-    rows.set([from[0], width > 1e-30 ? 1 / width : 0, ...from.slice(1), ...changes, 0, 0], 12 * i);
+    const [last, next] = [Math.max(i - 1, 0), i === 0 ? 0 : Math.min(i, shown.length - 1)];
+    const width = (found[next][0] - found[last][0]) / (high - low || 1);
+    const changes = shown[next].slice(1).map((v, c) => (width > 1e-30 ? v - shown[last][c + 1] : 0));
+    rows.set([shown[last][0], width > 1e-30 ? 1 / width : 0, ...shown[last].slice(1), ...changes, width, 0], 12 * i);
   }
   return { rows, count: shown.length };
 }

@@ -126,20 +126,25 @@ struct Light {
     float transmittance, alpha;
 };
 
-// Composites the way through a cell: the pieces between control points [TetVol, section 4.2].
+// Composites the way through a cell: the pieces between control points [TetVol, section 4.2]. The share of
+// a piece is by the width of its interval, so points that rounding makes equal are a step with the depth
+// and the colour between them.
 void addCell(inout Light light, float from, float to, inout int interval, float way)
 {
-    float whole = to - from, s = from;
+    float whole = abs(to - from), s = from, place = -1.0; // the last in its interval, 0 or 1; or not known
     bool up, down;
     do {
         int row = 3 * interval;
         vec4 first = listed(rows, row), second = listed(rows, row + 1), third = listed(rows, row + 2);
-        float high = pointAt(interval);
+        float high = pointAt(interval), width = third.z;
         down = interval > 0 && to < first.x, up = interval < points && to >= high;
         float end = clamp(down ? first.x : up ? high : to, min(from, to), max(from, to));
-        float piece = whole == 0.0 ? (up || down ? 0.0 : way) : way * abs((end - s) / whole);
+        vec2 w = clamp((vec2(s, end) - first.x) * first.y, 0.0, 1.0);
+        w = vec2(place < 0.0 || whole == 0.0 ? w.x : place, up ? 1.0 : down ? 0.0 : w.y);
+        float part = width > 0.0 ? width * abs(w.y - w.x) : abs(end - s);
+        float piece = way * (whole > 0.0 ? min(part / whole, 1.0) : up || down ? 0.0 : 1.0);
         if (piece > 0.0) {
-            vec2 w = clamp((vec2(s, end) - first.x) * first.y, 0.0, 1.0), tau = piece * (second.y + third.y * w);
+            vec2 tau = piece * (second.y + third.y * w);
             vec3 colour = vec3(first.zw, second.x), change = vec3(second.zw, third.x);
             float w_f, w_b, zeta;
             segment_weights(tau.x, tau.y, w_f, w_b, zeta);
@@ -148,6 +153,7 @@ void addCell(inout Light light, float from, float to, inout int interval, float 
             light.transmittance *= zeta;
         }
         s = end;
+        place = up ? 0.0 : 1.0;
         interval += up ? 1 : down ? -1 : 0;
     } while (up || down);
 }
