@@ -11,7 +11,7 @@ from helpers_octree import WORLD, ball
 from helpers_warp import values_at, wp
 
 import voxtool
-from voxtool.errors import FileError, VoxtoolError
+from voxtool.errors import GridError, VoxtoolError
 from voxtool.svo.image import VoxelImage
 
 CASES = level_sets()
@@ -56,7 +56,7 @@ def test_types_are_refused(tmp_path: Path) -> None:
 
 def test_a_place_beyond_float32_is_refused(tmp_path: Path) -> None:
     octree = voxtool.Octree.from_dense(LARGE, origin=(0, 0, 0), pitch=(1e-39, 1, 1))
-    with pytest.raises(FileError, match=r"\.nvdb holds sizes and places in float32"):
+    with pytest.raises(GridError, match=r"\.nvdb holds float32"):
         voxtool.export(octree, tmp_path / "a.nvdb")
     assert list(tmp_path.iterdir()) == []
 

@@ -13,7 +13,7 @@ import click
 
 from voxtool.cli.failures import FAILURES, STREAM_ERRORS, failure_of
 from voxtool.cli.options import PRINTED, TO_STDOUT, UNSAID, print_json, say, tell, warn
-from voxtool.errors import FileError, VoxtoolWarning
+from voxtool.errors import FileError, MemoryLimitError, VoxtoolWarning
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -43,12 +43,12 @@ class Voxtool(click.Group):
         return import_module(f"voxtool.cli.{cmd_name.replace('-', '_')}").command
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
-        with naming_closed_pipes():
+        with naming_causes():
             return super().make_context(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         self.context = ctx
-        with naming_closed_pipes():
+        with naming_causes():
             return super().invoke(ctx)
 
     def main(self, args: list[str] | None = None, *more: Any, **extra: Any) -> NoReturn:
@@ -100,12 +100,19 @@ def library_warnings() -> Iterator[None]:
 
 
 @contextmanager
-def naming_closed_pipes() -> Iterator[None]:
-    """Turn BrokenPipeError, which click makes an exit code of 1, into a FileError."""
+def naming_causes() -> Iterator[None]:
+    """Turn BrokenPipeError, which click makes an exit code of 1, into a FileError, and the error
+    of a thread that cannot start into a MemoryLimitError."""
     try:
         yield
     except BrokenPipeError as error:
         raise FileError("standard output was closed") from error
+    except RuntimeError as error:
+        if "start new thread" not in str(error):
+            raise
+        raise MemoryLimitError(
+            "a thread cannot be started: free memory, or raise the limits of ulimit -v and -u"
+        ) from error
 
 
 def reader_has_gone(error: BaseException) -> bool:

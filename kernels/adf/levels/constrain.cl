@@ -100,7 +100,7 @@ __kernel void constrain_blocks(const uint n, const double edge, __global const u
 #else
         const bool jumps = false;
 #endif
-        if ((value < 0) != (own[i] < 0) && !jumps) {
+        if (!jumps && (value < 0) != (own[i] < 0)) {
             ++count;
             continue;
         }

@@ -8,7 +8,7 @@ from helpers_octree import octree_from_dense
 
 from voxtool.morton import morton_decode
 from voxtool.svo.surface.samples import WORD_LEVELS, Sampling, grow_tree
-from voxtool.svo.surface.words import MULTIPLIER, NOWHERE, find_words
+from voxtool.svo.surface.words import NOWHERE, WORD_MULTIPLIER, find_words
 
 WORD = 16  # voxels along a side
 EMPTY, FULL, REFINED = 1, 2, 4
@@ -50,7 +50,7 @@ def test_every_word_is_found_in_the_table() -> None:
     dense = leaves(2)
     words = find_words(grow_tree(octree_from_dense(dense), Sampling.of("voxel", 0.5)), 2)
     places, shift = words.table()
-    first = (words.codes * MULTIPLIER >> np.uint64(shift)).astype(int)
+    first = (words.codes * WORD_MULTIPLIER >> np.uint64(shift)).astype(int)
     steps = 0
     for number, at in enumerate(first.tolist()):
         while places[at] != number:
