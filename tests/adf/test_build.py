@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from voxtool.adf.build import build_adf, plan_adf
 from voxtool.adf.cells import JUMP, bound_values
-from voxtool.adf.levels import CROSSED, SAMPLES
+from voxtool.adf.levels import BESIDE, CROSSED, SAMPLES
 from voxtool.adf.plan import BLOCK_BYTES
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
@@ -758,3 +758,31 @@ def test_whole_numbers_are_lengths(device: Device) -> None:
         for t, b in ((0, 1), (0.0, 1.0))
     )
     assert one.digest() == other.digest()
+
+
+def test_the_medial_axis_is_left_where_no_level_reaches_the_tolerance(device: Device) -> None:
+    """A box beside a small ball: fewer leaves, as exact near the surface; all with everywhere."""
+    parts = meshes.box(0, (1, 0.7, 0.5)), meshes.icosphere(2, (1.2, 0.4, 0.3), 5e-4)
+    (vertices, faces), (others, more) = parts
+    mesh = mesh_from_arrays(
+        np.concatenate([vertices, others]), np.concatenate([faces, more + len(vertices)])
+    )
+    request = {"tolerance": 1e-4, "max_level": 8, "measure": False}
+    left, full = (build_adf(mesh, device, **request, everywhere=every) for every in (False, True))
+    assert full.reached["medial"]["left"] == 0
+    assert left.reached["missed"] == full.reached["missed"]
+    medial = left.reached["medial"]
+    assert 0 < medial["left"] < medial["leaves"] < full.reached["medial"]["leaves"]
+    assert left.reached["leaves"] < 0.96 * full.reached["leaves"]
+    random = np.random.default_rng(8)
+    points = np.array(left.origin) + left.side * random.random((40_000, 3))
+    distances = SignedDistance(mesh, left.sign, device)(points)
+    found = left.query(points, bounds=True)
+    assert found.bound is not None
+    errors = abs(found.distance - distances) / left.side
+    exact = abs(full.distance(points) - distances) / left.side
+    assert (errors <= found.bound / left.side + 1e-7).all()
+    largest = 2.0**-7  # the edge whose square is within the tolerance
+    assert errors.max() < largest / 2
+    near = abs(distances) < (BESIDE - 2) * 2.0**-8 * left.side
+    assert errors[near].max() <= exact[near].max()

@@ -21,6 +21,8 @@ from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.hashing import SOURCE as HASHING
 from voxtool.adf.hashing import build_hash
 from voxtool.adf.levels import (
+    LEFT,
+    THIN,
     Construction,
     Examined,
     Level,
@@ -71,8 +73,8 @@ def plan_adf(
 
     sign: one of voxtool.choices.FIELD_SIGNS, or None for that of what `decide` returns, given mesh
     and device. stores: makes a store where levels and blocks wait that exceed max_memory; without
-    it the field is refused. request: tolerance, max_level, band, guarantee, continuous, bounds,
-    max_bytes, measure and max_texture, as in voxtool.build_adf.
+    it the field is refused. request: tolerance, max_level, band, guarantee, everywhere,
+    continuous, bounds, max_bytes, measure and max_texture, as in voxtool.build_adf.
     """
     plan = FieldPlan(triangles=len(mesh.faces), sign=sign or "", **request)
     survey = Survey(mesh, device or default_device(), sign != "none", decide)
@@ -266,9 +268,9 @@ class _Build:
         self.identifiers: list[np.ndarray] = []
         self.voxels = np.empty(0, np.float32)  # grows in place, so that it is never there twice
         self.codes: list[np.ndarray] = []
-        self.missed = self.medial = self.jumps = self.thin = self.unproved = 0
-        self.worst: tuple[float, int, int] | None = None  # error, level, identifier
-        self.worst_medial = 0.0
+        self.missed = self.jumps = self.thin = self.unproved = 0
+        self.medial = self.left = 0
+        self.worst: dict[bool, tuple[float, int, int]] = {}  # error, level, identifier; if medial
 
     def run(self, last: int | None = None) -> None:
         """Build the levels down to `last`, or all."""
@@ -366,20 +368,21 @@ class _Build:
             self.unproved += int(np.count_nonzero((found.codes > least) & leaves))
         self.codes.append(np.where(leaves, found.codes, np.uint8(NO_LEAF)))
         self.jumps += int(np.count_nonzero((errors < 0) & leaves))
-        self.thin += int(np.count_nonzero(found.thin))
+        self.thin += int(np.count_nonzero(found.kinds == THIN))
         over = np.flatnonzero((errors > np.float32(self.plan.tolerance)) & leaves)
         if not len(over):
             return
-        helped = helped_by_depth(found.voxels, over, errors[over], level.number + 1)
-        medial, over = over[~helped], over[helped]
-        self.medial += len(medial)
-        self.worst_medial = max(self.worst_medial, float(errors[medial].max(initial=0)))
-        self.missed += len(over)
-        if len(over):
-            worst = over[np.argmax(errors[over])]
-            if self.worst is None or errors[worst] > self.worst[0]:
-                identifier = int(identifiers[worst // 8]) << 3 | int(worst % 8)
-                self.worst = (float(errors[worst]), level.number + 1, identifier)
+        left = found.kinds[over] == LEFT
+        helped = helped_by_depth(found.voxels, over, errors[over], level.number + 1) & ~left
+        self.missed += int(np.count_nonzero(helped))
+        self.medial += int(np.count_nonzero(~helped))
+        self.left += int(np.count_nonzero(left))
+        for medial in (False, True):
+            if len(those := over[helped != medial]):
+                worst = those[np.argmax(errors[those])]
+                if errors[worst] > self.worst.get(medial, (0,))[0]:
+                    identifier = int(identifiers[worst // 8]) << 3 | int(worst % 8)
+                    self.worst[medial] = (float(errors[worst]), level.number + 1, identifier)
 
     def field(self) -> DistanceField:
         """Return the field that consists of the blocks."""
@@ -405,13 +408,12 @@ class _Build:
             reached["thin"] = {"leaves": self.thin, "shells": shells, "volume": volume(mesh)}
         if plan.guarantee:
             reached["unproved"] = self.unproved
-        if self.medial:
-            reached["medial"] = {"leaves": self.medial, "error": self.worst_medial}
-        if self.worst:
-            error, level, identifier = self.worst
+        for medial, (error, level, identifier) in self.worst.items():
             cell = cell_of(np.array([identifier], np.uint64))[1][0]
             where = origin + side * np.ldexp(cell + 0.5, -level)
-            reached["worst"] = {"error": error, "level": level, "where": where.tolist()}
+            worst = {"error": error, "level": level, "where": where.tolist()}
+            counts = {"leaves": self.medial, "left": self.left}
+            reached |= {"medial": {**counts, **worst}} if medial else {"worst": worst}
         if plan.continuous:
             reached["balanced"] = not work.unbalanced.get()[0]
             reached["kept"] = int(work.kept.get()[0])

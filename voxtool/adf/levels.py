@@ -28,6 +28,7 @@ from voxtool.opencl.primitives import exclusive_scan
 from voxtool.spatial.bvh import TriangleTree
 
 CROSSED = 64.0  # tolerances: the largest edge of a leaf where triangles pass, unless certain
+BESIDE = 8  # edges from the mesh: nearer leaves along the medial axis are always refined
 WALKERS = {"sample_blocks", "examine_children", "pass_lists_on"}  # kernels that walk whole lists
 NARROWING = "adf/levels/narrow.cl"
 NARROW = 16  # numbers of a triangle in single precision: a line of the cache
@@ -38,6 +39,7 @@ LONG = 128  # triangles of a block, from which on they are in bundles, and a few
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
+THIN, LEFT = 1, 2  # leaves: the mesh is thinner; the tolerance is out of reach, see _hopeless
 OF_PARENTS = ["parent_values", "parent_states", "parent_neighbours"]
 
 # ---- the points at which a cell is sampled
@@ -79,6 +81,7 @@ def _corners() -> np.ndarray:
 
 HEADERS = {
     "adf/levels/level.h": program.c_constants(
+        BESIDE=BESIDE,
         FEW=FEW,
         LONG=LONG,
         JUMP=JUMP,
@@ -90,6 +93,8 @@ HEADERS = {
         UNKNOWN=UNKNOWN,
         OUTSIDE=OUTSIDE,
         INSIDE=INSIDE,
+        THIN=THIN,
+        LEFT=LEFT,
     ),
     "adf/levels/sample_points.h": "\n".join(
         [
@@ -323,14 +328,14 @@ class Examined:
 
     voxels : (27 n,) float32, the blocks, in sides; refined : (8 n,) uint32, 1 or 0; errors : (8 n,)
     float32, in sides, -1 at a sign discontinuity; codes : (8 n,) uint8, of the bounds of leaves;
-    thin : (8 n,) uint8, 1 in leaves where the mesh is thinner than they are.
+    kinds : (8 n,) uint8, THIN or LEFT in such leaves.
     """
 
     voxels: np.ndarray
     refined: np.ndarray
     errors: np.ndarray
     codes: np.ndarray
-    thin: np.ndarray
+    kinds: np.ndarray
 
 
 def examine(work: Construction, level: Level) -> Examined:
@@ -339,7 +344,7 @@ def examine(work: Construction, level: Level) -> Examined:
     voxels = device.empty(27 * n, np.float32)
     ranks = level.arrays["ranks"] = device.empty(8 * n + 1, np.uint32)
     errors = device.empty(8 * n, np.float32)
-    codes, thin = device.empty(8 * n, np.uint8), device.empty(8 * n, np.uint8)
+    codes, kinds = device.empty(8 * n, np.uint8), device.empty(8 * n, np.uint8)
     level.arrays.setdefault("strays", device.zeros(27 * n, np.float32))
     with device.stage("examine"):
         work.run("examine", "store_voxels", level, 27 * n, voxels=voxels)
@@ -351,13 +356,24 @@ def examine(work: Construction, level: Level) -> Examined:
             voxels=voxels,
             can_refine=level.number + 1 < plan.max_level,
             refine_coarse=0.5 ** (level.number + 1) > CROSSED * plan.tolerance,
+            hopeless=2 * work.survey.extent * _hopeless(plan, level.number + 1),
             flags=ranks,
             errors=errors,
             codes=codes,
-            thin=thin,
+            kinds=kinds,
         )
     flags = ranks.get(0, 8 * n)
-    return Examined(voxels.take(), flags, errors.take(), codes.take(), thin.take())
+    return Examined(voxels.take(), flags, errors.take(), codes.take(), kinds.take())
+
+
+def _hopeless(plan: FieldPlan, level: int) -> float:
+    """Return the error, in sides, beyond which leaves of a level along the medial axis are left: it
+    halves with the edge there, so those of the last level have about twice the tolerance. Leaves
+    are refined in any case while the square of their edge is over the tolerance: where the distance
+    is smooth, errors fall with the square of the edge, and such leaves reach the tolerance."""
+    if plan.everywhere or 0.25**level > plan.tolerance:
+        return math.inf
+    return 2 * math.ldexp(plan.tolerance, plan.max_level - level)
 
 
 def refine(work: Construction, level: Level, size: int) -> Level:

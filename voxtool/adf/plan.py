@@ -59,6 +59,7 @@ class FieldPlan:
     continuous: bool = True
     bounds: bool = True
     guarantee: bool = False
+    everywhere: bool = False
     max_bytes: int | None = None
     measure: bool = True
     max_texture: int = DEFAULT_TEXTURE_3D

@@ -41,6 +41,7 @@ def plan_adf(
     max_level: int = DEFAULT_MAX_LEVEL,
     band: float = math.inf,
     guarantee: bool = False,
+    everywhere: bool = False,
     fill: str = FILLS[0],
     continuous: bool = True,
     bounds: bool = True,
@@ -71,6 +72,10 @@ def plan_adf(
     guarantee : bool
         Whether a cell is refined until the bound of its error is within the tolerance, not only the
         error at its samples.
+    everywhere : bool
+        Whether cells along the medial axis are refined to the last level also where the error there
+        will exceed the tolerance, too; otherwise they are left at an edge of about the square root
+        of the tolerance.
     fill : str
         What is inside: "auto", "winding" or "none" (no distance is negative), or "parity" or
         "nonzero" for closed meshes whose parts do not overlap; see voxelize. Signs are computed by
@@ -117,9 +122,9 @@ def plan_adf(
     """
     return distances.plan_field(
         as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band,
-        guarantee=guarantee, fill=fill, continuous=continuous, bounds=bounds, max_bytes=max_bytes,
-        measure=measure, max_texture=max_texture, device=device, max_memory=max_memory,
-        stores=lambda: Spool(STREAM),
+        guarantee=guarantee, everywhere=everywhere, fill=fill, continuous=continuous,
+        bounds=bounds, max_bytes=max_bytes, measure=measure, max_texture=max_texture,
+        device=device, max_memory=max_memory, stores=lambda: Spool(STREAM),
     )  # fmt: skip
 
 

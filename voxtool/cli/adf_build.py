@@ -41,6 +41,8 @@ if TYPE_CHECKING:
         math.inf, metavar="WIDTH"),
     flag("--guarantee",
         "Refine by the error bound of a leaf, not by samples of its error, down to --max-level."),
+    flag("--everywhere",
+        "Refine along the medial axis, too, where --max-level does not reach the tolerance."),
     option("--max-bytes", BYTES,
         "Approximate size of the field (60M).  The largest errors are refined first.",
         metavar="BYTES"),
@@ -105,7 +107,8 @@ def command(
     reached = field.reached
     run.report(
         f"tolerance {field.tolerance:.3g}, sign {field.sign}; {reached['leaves']:,} leaves in "
-        f"{run.size}{error_near(field)}{missed(field, request['max_bytes'] is not None)}",
+        f"{run.size}{error_near(field)}{missed(field, request['max_bytes'] is not None)}"
+        f"{left(field)}",
         lambda: facts_of(field),
         details_of(field),
     )
@@ -164,6 +167,17 @@ def missed(field: DistanceField, limited: bool) -> str:
     )
 
 
+def left(field: DistanceField) -> str:
+    """Return how many leaves along the medial axis were left before the last level, if any."""
+    medial = field.reached.get("medial", {})
+    if not medial.get("left"):
+        return ""
+    return (
+        f"; {count_of(medial['left'], 'leaf')} along the medial axis left at errors of up to "
+        f"{medial['error']:.2g}: --everywhere refines them"
+    )
+
+
 def details_of(field: DistanceField) -> Iterator[str]:
     """Yield lines of the errors, cells and textures of a field."""
     n, reached = len(field.voxels), field.reached
@@ -181,9 +195,10 @@ def details_of(field: DistanceField) -> Iterator[str]:
             f"the worst at level {worst['level']} near ({place})"
         )
     if medial := reached.get("medial"):
+        place = ", ".join(f"{x:.6g}" for x in medial["where"])
         yield (
             f"medial    {count_of(medial['leaves'], 'leaf')} over the tolerance along the medial "
-            f"axis, by up to {medial['error'] - field.tolerance:.3g} sides"
+            f"axis, by up to {medial['error'] - field.tolerance:.3g} sides near ({place})"
         )
     if unproved := reached.get("unproved"):
         yield f"unproved  {count_of(unproved, 'leaf')} whose bound is over the tolerance"

@@ -49,17 +49,18 @@ bool jumps(double8 field, double8 distances, double edge, bool passed)
 
 // The refinement parameters, in the frame: tolerance, displacement of points by rounding, and width
 // of the refined band around the surface; whether children can be refined, whether they must be
-// where triangles pass, and where their bounds exceed the tolerance, and whether all samples are taken.
+// where triangles pass, and where their bounds exceed the tolerance, whether all samples are taken, and
+// the error beyond which children along the medial axis are left.
 #define LIMITS                                                                                         \
     const double tolerance, const double misplaced, const double band, const uint can_refine,          \
-        const uint refine_coarse, const uint guarantee, const uint thorough
+        const uint refine_coarse, const uint guarantee, const uint thorough, const double hopeless
 
 // A child of a block and its state. corners: its distances; radius: half of its diagonal; middle:
 // the distance at its centre; rounding: of bounds; gap: the growth of the error between samples;
 // passed: triangles may pass through it; in_doubt: the sign of a corner is unknown; beyond: it lies
 // beyond the band; may_refine: it may have children; unlike: the sign of a sample is not the mesh's;
 // entered: a point of the mesh is in the cell; thin: sheets pass that face away from each other, whose
-// signs it does not have. error: the largest error known; stray: that at a corner; bound: the error
+// signs it does not have; left: refinement is vain. error: the largest error known; stray: that at a corner; bound: the error
 // bound.
 typedef struct {
     uint3 cell;
@@ -67,8 +68,19 @@ typedef struct {
     child_corners at;
     rivals known; // by which its list is pruned
     double corners[8], extent, edge, slope, radius, middle, rounding, gap, error, stray, bound;
-    bool in_doubt, passed, beyond, may_refine, unlike, entered, thin;
+    bool in_doubt, passed, beyond, may_refine, unlike, entered, thin, left;
 } child_cell;
+
+// Whether no level below a child that is far from the mesh, for its edge, would reach the tolerance: its error is larger than
+// where one point of the mesh is nearest, so it lies along the medial axis, and the last level would
+// exceed the tolerance, too; or a corner takes the value of a leaf that was left.
+bool is_vain(const child_cell *c, double error, double tolerance, double hopeless)
+{
+    const double near = lowest(absolute(vload8(0, c->corners))) - c->radius;
+    const double single = sqrt(near * near + c->radius * c->radius) - near;
+    return near > BESIDE * c->edge && hopeless < INFINITY &&
+           ((error > hopeless && error > single) || c->stray > tolerance);
+}
 
 ways samples_of(const child_cell *c, uint k)
 {
@@ -250,16 +262,18 @@ void examine_passed(const child_list *list, child_cell *c, double tolerance, uin
 #endif
 
 // Whether a child is to be refined: its error exceeds the tolerance, triangles pass a coarse child
-// whose bound does, or it is thin and its edge exceeds the tolerance. Computes what is needed for that,
+// whose bound does, or it is thin and its edge exceeds the tolerance; unless that is vain. Computes what is needed for that,
 // and prunes the list.
 bool examined(child_list *list, child_cell *c, bounded_block *block, double tolerance,
-              uint refine_coarse, uint guarantee, uint thorough)
+              uint refine_coarse, uint guarantee, uint thorough, double hopeless)
 {
-    const double miss = fabs(fabs(interpolated_at(c, 0).s0) - c->middle);
+    const double miss = fabs(fabs(interpolated_at(c, 0).s0) - c->middle); // whatever the sign
+    c->left = c->may_refine && miss > tolerance && is_vain(c, miss, tolerance, hopeless);
+    c->may_refine &= !c->left;
     const bool misses = c->may_refine && !thorough && miss > tolerance; // at the centre
     if (misses || c->passed)
         prune(list, &c->at, &c->known, (float)c->edge);
-    if (misses) // whatever the sign
+    if (misses)
         return true;
 #ifdef SIGNED
     if (c->passed)
@@ -268,13 +282,16 @@ bool examined(child_list *list, child_cell *c, bounded_block *block, double tole
 #endif
         examine_apart(list, c, block, tolerance, thorough);
     const bool unsure = (guarantee || (c->passed && refine_coarse)) && c->bound > tolerance;
-    return c->may_refine && (c->error > tolerance || unsure || (c->thin && c->edge > tolerance));
+    const bool over = c->error > tolerance || unsure || (c->thin && c->edge > tolerance);
+    c->left |= c->may_refine && over && is_vain(c, c->error, tolerance, hopeless);
+    return c->may_refine && over && !c->left;
 }
 
 // For each child c of block c / 8, with the distance centres[c] at its centre: flags[c] = 1 if it is
 // to be refined. errors[c] = the sampled error of a leaf, in cube edges, if it exceeds the
 // tolerance; otherwise anything up to that; 0 beyond the band and -1 at a sign discontinuity.
-// codes[c] = the code of its bound. thin[c] = 1 if it is a leaf and thin.
+// codes[c] = the code of its bound. kinds[c] = THIN or LEFT
+// if it is such a leaf, otherwise 0.
 __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #ifdef WINDING
                                __global const uint *doubts,
@@ -287,7 +304,7 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #endif
                                __global uchar *masks, __global uint *needed,
                                __global uint *flags, __global float *errors,
-                               __global uchar *codes, __global uchar *thin,
+                               __global uchar *codes, __global uchar *kinds,
                                __global uint *steepest)
 {
     const uint gid = get_global_id(0);
@@ -334,7 +351,7 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         c.passed = c.middle <= c.radius;
         c.beyond = c.middle - c.radius > band;
         c.may_refine = can_refine && !c.beyond;
-        c.thin = c.unlike = c.entered = false;
+        c.thin = c.unlike = c.entered = c.left = false;
         c.error = 0;
         c.bound = INFINITY;
         bool jumped = false;
@@ -343,11 +360,11 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #endif
         const bool refined = jumped ? c.may_refine && refine_coarse
                                     : examined(&list, &c, &block, tolerance, refine_coarse,
-                                               guarantee, thorough);
+                                               guarantee, thorough, hopeless);
         needed[place] = list.count;
         flags[place] = refined;
         errors[place] = jumped ? -1 : c.beyond ? 0 : (float)(c.error / side);
-        thin[place] = !refined && c.thin;
+        kinds[place] = refined ? 0 : c.thin ? THIN : c.left ? LEFT : 0;
         codes[place] = jumped ? JUMP : code_of(c.bound / side, bounds);
         if (!refined && !jumped && c.slope > slope_of_leaves)
             slope_of_leaves = (float)c.slope;
