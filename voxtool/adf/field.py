@@ -75,13 +75,14 @@ class DistanceField(Data):
         tolerance though smaller leaves would help, and if there are any, "worst": the largest error
         of these, its level, and its position (world units); "medial", if there are any, the
         "leaves" over the tolerance along the medial axis, how many of them were "left" before the
-        last level, and the same of the largest error of these; "thin", if there are any, the "leaves" that are thicker than the mesh there and do not have its signs,
-        and the mesh's "shells" and "volume" (cubic world units); "kept", the number of hanging
-        vertices of blocks that keep their distances, where coarser leaves have the other sign;
-        "unproved", with a guarantee, the number of leaves whose bounds exceed the tolerance;
-        "jumps", the number of leaves in which the sign changes away from the surface; "balanced",
-        whether every leaf's neighbours are at most one level coarser; "errors", as
-        voxtool.adf.accuracy.measure_errors, if they were measured.
+        last level, and the same of the largest error of these; "thin", if there are any, the
+        "leaves" that are thicker than the mesh there and do not have its signs, and the mesh's
+        "shells" and "volume" (cubic world units); "kept", the number of hanging vertices of blocks
+        that keep their distances, where coarser leaves have the other sign; "unproved", with a
+        guarantee, the number of leaves whose bounds exceed the tolerance; "jumps", the number of
+        leaves in which the sign changes away from the surface; "balanced", whether every leaf's
+        neighbours are at most one level coarser; "errors", as voxtool.adf.accuracy.measure_errors,
+        if they were measured.
     plan : dict
         The part of the plan that depends on the mesh: JSON types.
     source_sha256 : str
