@@ -184,21 +184,6 @@ def random_triangles(
     return vertices.reshape(-1, 3), np.arange(3 * n).reshape(n, 3)
 
 
-def split_beside_edges(
-    vertices: np.ndarray, faces: np.ndarray, n: int, rng: np.random.Generator
-) -> Mesh:
-    """Return a mesh of which n faces, drawn in turn, are split in three at a point that is 1e-8 to
-    1e-15 of their height beside an edge."""
-    points, triangles = [*vertices], [tuple(face) for face in faces.tolist()]
-    for _ in range(n):
-        a, b, c = np.roll(triangles.pop(rng.integers(len(triangles))), rng.integers(3)).tolist()
-        on = points[a] + rng.uniform(0.1, 0.9) * (points[b] - points[a])
-        points.append(on + 10.0 ** -rng.uniform(8, 15) * (points[c] - on))
-        m = len(points) - 1
-        triangles += [(a, b, m), (b, c, m), (c, a, m)]
-    return np.array(points), np.array(triangles, np.int32)
-
-
 def hard_triangles(n: int) -> np.ndarray:
     """Return triangles, (n, 3, 3), of any size and shape: many are slivers, needles or points."""
     rng = np.random.default_rng(16)

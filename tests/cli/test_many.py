@@ -284,6 +284,20 @@ def test_a_tar_that_a_killed_run_had_packed(balls) -> None:
     assert not Path("some.tar.parts").exists()
 
 
+def test_what_a_killed_run_left_is_removed(balls) -> None:
+    """Beside outputs that are up to date, too, and beside the manifest."""
+    command = f"voxelize {' '.join(balls)} --dim 8 -o out/"
+    run(command)
+    with subprocess.Popen(["true"]) as dead:
+        pass
+    for name in ("manifest.jsonl", "one.svo.h5", "other.png"):
+        Path("out", f".{name}.{machine()}-{dead.pid}-0.tmp").touch()
+    alive = Path("out", f".two.svo.h5.{machine()}-{os.getpid()}-0.tmp")
+    alive.touch()
+    assert told(f"{command} --json")["up_to_date"] == 3
+    assert [path.name for path in Path("out").glob(".*")] == [alive.name]
+
+
 def test_webdataset_reads_a_tar(balls) -> None:
     import webdataset
 

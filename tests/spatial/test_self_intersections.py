@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
+from voxtool.selftest.contacts import beside_edges
 from voxtool.selftest.oracles import whole
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.fill_rule import inside_of_closed
@@ -259,7 +260,8 @@ def test_splits_beside_edges(device: Device, seed: int) -> None:
     rng = np.random.default_rng(seed)
     vertices, faces = meshes.icosphere(1) if seed % 2 else meshes.box(0.0, 1.0)
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    vertices, faces = meshes.split_beside_edges(vertices @ q.T, faces, 25, rng)
+    vertices, faces = beside_edges(vertices @ q.T, faces, 12, 15, rng)
+    vertices, faces = beside_edges(vertices, faces, 13, 15, rng)
     expected = met(vertices[faces])
     assert np.array_equal(crossings(device, vertices, faces), expected)
     inside = inside_of_closed(meshes.mesh_of(vertices, faces), device)

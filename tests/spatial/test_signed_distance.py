@@ -23,6 +23,7 @@ from voxtool import distance
 from voxtool.errors import VoxtoolError
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
+from voxtool.selftest.contacts import beside_edges
 from voxtool.spatial import bvh
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.fill_rule import inside_as_wound
@@ -590,7 +591,8 @@ def test_signs_beside_slivers(device: Device, seed: int) -> None:
     a, b, c = vertices[faces].transpose(1, 0, 2)
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None] * np.sign(np.linalg.det(q))
-    mesh = meshes.mesh_of(*meshes.split_beside_edges(vertices, faces, 25, rng))
+    split = beside_edges(vertices, faces, 12, 15, rng)
+    mesh = meshes.mesh_of(*beside_edges(*split, 13, 15, rng))
     triangles = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=4000)]]
     weights = rng.dirichlet([1, 1, 1], 4000)
     weights[::2, 2] = 0  # on edges

@@ -183,10 +183,12 @@ class Many:
     def make(self, tasks: Sequence[Task], manifest: Manifest | None, began: float) -> None:
         """Do the tasks that are not up to date, and report."""
         if manifest:
+            from voxtool.files.atomic import sweep
             from voxtool.files.manifest import make_folder
 
-            for below in {os.path.dirname(self.outputs[mesh]) for mesh in self.meshes} - {""}:
+            for below in {str(manifest.path.parent), *map(os.path.dirname, self.outputs.values())}:
                 make_folder(below)
+                sweep(Path(below))  # of outputs that are up to date, too
         todo = [task for task in tasks if not (manifest and self.is_current(manifest, task))]
         self.counts["up to date"] = len(tasks) - len(todo)
         try:

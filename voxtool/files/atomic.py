@@ -1,7 +1,7 @@
 """A file appears whole or not at all: write beside the target, fsync, rename.
 
 A killed process leaves the old file or folder or none, and at worst a hidden
-`.NAME.MACHINE-PROCESS-RANDOM.tmp`, which is removed when the same target is written again.
+`.NAME.MACHINE-PROCESS-RANDOM.tmp`, which is removed when the next file is written beside it.
 """
 
 from __future__ import annotations
@@ -280,23 +280,24 @@ def _create_beside(folder: Path, name: str) -> Path:
 
 def _name_beside(folder: Path, name: str) -> Path:
     """The name, after this machine and process, of a new file or folder that becomes `name`; what
-    processes that have died left there for it is removed."""
-    stem = _stem(name)
-    _sweep(folder, stem)
-    return folder / f"{stem}{os.getpid()}-{os.urandom(8).hex()}.tmp"
+    processes that have died left beside it is removed."""
+    sweep(folder)
+    return folder / f"{_stem(name)}{os.getpid()}-{os.urandom(8).hex()}.tmp"
 
 
 def remove_with_temporaries(target: Path) -> None:
     """Remove a file, and what processes of this machine have begun for it, which fail then."""
     target.unlink(missing_ok=True)
-    for name, _ in _begun(target.parent, _stem(target.name)):
-        _remove(target.parent / name)
+    for name, _ in _begun(target.parent):
+        if name.startswith(_stem(target.name)):
+            _remove(target.parent / name)
 
 
-def _sweep(folder: Path, stem: str) -> None:
+def sweep(folder: Path) -> None:
+    """Remove what processes of this machine that have died began in a folder."""
     if os.name == "nt":  # os.kill would end the process there
         return
-    for name, process in _begun(folder, stem):
+    for name, process in _begun(folder):
         try:
             os.kill(process, 0)
         except ProcessLookupError:
@@ -309,12 +310,12 @@ def _stem(name: str) -> str:
     return f".{name[:40]}.{machine()}-"
 
 
-def _begun(folder: Path, stem: str) -> Iterator[tuple[str, int]]:
-    """Yield the names that processes of this machine made for an output, and the processes."""
+def _begun(folder: Path) -> Iterator[tuple[str, int]]:
+    """Yield the names of what processes of this machine began, and the processes."""
     with suppress(OSError):
         for name in os.listdir(folder):
-            process = name.removeprefix(stem).split("-")[0]
-            if name.startswith(stem) and name.endswith(".tmp") and process.isdecimal():
+            process = name.rpartition(f".{machine()}-")[2].split("-")[0]
+            if name.startswith(".") and name.endswith(".tmp") and process.isdecimal():
                 yield name, int(process)
 
 
