@@ -49,7 +49,7 @@ FAULTS = [  # the case that finds it, and what goes wrong in a kernel
     ("integers of 64 bits", "convert_long(xs[i])", "convert_long_rte(xs[i])"),
     ("scan, sort, unique", "sorted[to] = key;", "sorted[to] = key + (i == 77777);"),
     ("faces turned and doubled", "found[1] += side < 0;", "found[1] += side > 0;"),
-    ("faces that nearly meet", "return sign_of_words(sum, 3 * WORDS);", "return 0;"),
+    ("faces that nearly meet", "most == 0 ? side : exact_side(of, d);", "true ? side : 0;"),
     ("distances to needles", "px - u * t->ex", "px - u * t->ex * (1 + 1e-14)"),
     ("nearest points of slivers", "at = p - way;", "at = p - way * (1 + 1e-13);"),
     ("winding numbers", "7.5 * s * three", "7.0 * s * three"),

@@ -40,7 +40,7 @@ def contacts(device: Device, full: bool) -> int:
     corners = vertices[faces]
     normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= length(normals)[:, None]
-    for _ in range(4 if full else 1):
+    for _ in range(16 if full else 4):
         mesh = mesh_from_arrays(*beside_edges(vertices, faces, SPLITS, FINEST, random))
         wrong += meeting(device, mesh)
         which = random.integers(len(faces), size=4000)
