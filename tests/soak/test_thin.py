@@ -28,6 +28,6 @@ def test_no_point_of_thin_scenes_exceeds_its_bound(rounds) -> None:
         counts += prove(field, scene, random, 40)
         worst = max(worst, ratio)
     print(
-        f"soak: {number:,} thin scenes, {50_000 * number:,} points: largest error {worst:.4f} of its "
-        f"bound; proved {counts[0]:,} leaves, {counts[1]:,} undecided"
+        f"soak: {number:,} thin scenes, {50_000 * number:,} points: largest error {worst:.4f} of "
+        f"its bound; proved {counts[0]:,} leaves, {counts[1]:,} undecided"
     )
