@@ -6,14 +6,14 @@ where the voxel is set. The magnitudes are those of the unrounded mesh.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.choices import FIELD_SIGNS, FILLS, POINT_FILLS
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.memory import available_memory
 from voxtool.opencl import default_device
 from voxtool.spatial import insides
@@ -36,8 +36,10 @@ SIGN_NAMES = {"pseudonormal": "pseudo-normals", "winding": "winding numbers"}
 
 
 @dataclass(frozen=True)
-class DistancePlan:
+class DistancePlan(Plan):
     """The plan of distances at points."""
+
+    refusal = "{plan.triangles:,} triangles {shortage}: simplify the mesh"
 
     triangles: int
     sign: str  # one of voxtool.choices.SIGNS
@@ -54,12 +56,12 @@ class DistancePlan:
         return [*first, "tree", *last]
 
     @property
-    def left_out(self) -> dict[str, str]:
+    def reasons(self) -> dict[str, str]:
         reason = "no distance is negative" if self.sign == "none" else f"the sign is {self.sign}"
-        out = {what: reason for sign, what in SIGN_NAMES.items() if sign != self.sign}
-        if not self.located:
-            out["gradients, nearest points and faces"] = "not requested"
-        return out
+        return {
+            **{what: reason for sign, what in SIGN_NAMES.items() if sign != self.sign},
+            "gradients, nearest points and faces": "" if self.located else "not requested",
+        }
 
     @property
     def cost(self) -> Cost:
@@ -68,20 +70,8 @@ class DistancePlan:
         size = distance_bytes(self.triangles, self.sign)
         return Cost(size + points, 2 * points, max(120 * self.triangles, 24 * self.block))
 
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            **asdict(self),
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_device_bytes": self.cost.device,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
         return [("scene", f"{self.triangles:,} triangles"), ("sign", self.sign)]
-
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        if shortage := self.cost.shortage(max_memory, max_allocation):
-            raise MemoryLimitError(f"{self.triangles:,} triangles {shortage}: simplify the mesh")
 
 
 @dataclass(eq=False)
@@ -159,8 +149,11 @@ def plan_distance(
 
 
 @dataclass(frozen=True)
-class DistanceGridPlan:
+class DistanceGridPlan(Plan):
     """The plan of distances at the voxel centres of a grid."""
+
+    facts = ("dtype", "triangles: distance.triangles")
+    costs = ("device", "host")
 
     shape: tuple[int, int, int]
     dtype: str  # of the result, "float64" or "float32"
@@ -172,31 +165,19 @@ class DistanceGridPlan:
         return [*(self.voxels.stages if self.voxels else []), *self.distance.stages]
 
     @property
-    def left_out(self) -> dict[str, str]:
-        if self.voxels:
-            return dict(self.voxels.left_out)
-        return {"voxels": "no distance is negative"}
+    def reasons(self) -> dict[str, str]:
+        return self.voxels.left_out if self.voxels else {"voxels": "no distance is negative"}
 
     @property
     def cost(self) -> Cost:
         nx, ny, nz = self.shape
         costs = [self.distance.cost, *([self.voxels.cost] if self.voxels else [])]
-        return Cost(
-            max(cost.device for cost in costs),
-            nx * ny * nz * np.dtype(self.dtype).itemsize + sum(cost.host for cost in costs),
-            max(cost.largest for cost in costs),
-        )
+        host = nx * ny * nz * np.dtype(self.dtype).itemsize + sum(cost.host for cost in costs)
+        return replace(Cost.most(costs), host=host)
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            **(self.voxels.as_dict() if self.voxels else {"shape": list(self.shape)}),
-            "dtype": self.dtype,
-            "triangles": self.distance.triangles,
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_device_bytes": self.cost.device,
-            "predicted_host_bytes": self.cost.host,
-        }
+        voxels = self.voxels.as_dict() if self.voxels else {"shape": list(self.shape)}
+        return {**voxels, **super().as_dict()}
 
     def rows(self) -> list[tuple[str, str]]:
         shape = " x ".join(map(str, self.shape))

@@ -16,8 +16,10 @@ import os
 import sys
 import warnings
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, Self, TypeVar
+from dataclasses import astuple, dataclass, fields, replace
+from operator import attrgetter
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, ParamSpec, Self, TypeVar
 
 from voxtool.errors import MemoryLimitError, MeshWarning, human
 from voxtool.memory import available_memory
@@ -40,9 +42,19 @@ class Cost:
     host: int = 0
     largest: int = 0
 
+    @classmethod
+    def most(cls, costs: Iterable[Cost]) -> Cost:
+        """Return the largest of each number; 0 if there are none."""
+        found = [astuple(cost) for cost in costs]
+        return cls(*map(max, zip(*found, strict=True))) if found else cls(0)
+
     def shortage(self, max_memory: int, max_allocation: int) -> str:
         """Return what a message says if the device has fewer bytes than these, in total or in one
-        buffer; otherwise ""."""
+        buffer, or the host where there is no device; otherwise ""."""
+        if not self.device:
+            short = self.host > max_memory
+            needed = f"would need {human(self.host)} of memory, of {human(max_memory)} allowed"
+            return needed if short else ""
         if self.device <= max_memory and self.largest <= max_allocation:
             return ""
         return (
@@ -51,36 +63,72 @@ class Cost:
         )
 
 
-class Plan(Protocol):
-    """The decisions of a job before it runs: a frozen dataclass of numbers, names and tuples."""
+class Plan(ABC):
+    """The decisions of a job before it runs: the base of frozen dataclasses of numbers, names and
+    tuples.
+
+    Attributes
+    ----------
+    stages
+        the stages that will run, in order.
+    reasons
+        why parts are not compiled, allocated or run, by their names; "" if they are.
+    facts
+        attributes that `as_dict` gives before the stages, as "name" or "name: path.to.it"; by
+        default all fields.
+    predicted, costs
+        attributes, in the same way, and members of `cost` that it gives after what is left out.
+    refusal
+        text of the error if memory is short, with {plan} and {shortage}.
+    """
+
+    stages: Sequence[str]
+    reasons: Mapping[str, str] = MappingProxyType({})
+    facts: ClassVar[tuple[str, ...] | None] = None
+    predicted: ClassVar[tuple[str, ...]] = ()
+    costs: ClassVar[tuple[str, ...]] = ("device",)
+    refusal: ClassVar[str]
 
     @property
-    def stages(self) -> Sequence[str]:
-        """The stages that will run, in order."""
-        ...
-
-    @property
-    def left_out(self) -> Mapping[str, str]:
-        """Reasons by the name of what is not compiled, allocated or run."""
-        ...
-
-    @property
+    @abstractmethod
     def cost(self) -> Cost:
         """The memory that the job is predicted to take."""
-        ...
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Reasons by the name of what is not compiled, allocated or run."""
+        return {what: why for what, why in self.reasons.items() if why}
+
+    def decisions(self) -> dict[str, Any]:
+        """The facts, the stages and what is left out, in JSON types; some outputs store them."""
+        facts = [f.name for f in fields(self)] if self.facts is None else self.facts  # pyright: ignore
+        return self._told([*facts, "stages", "left_out"])
 
     def as_dict(self) -> dict[str, Any]:
         """All of the plan in JSON types."""
-        ...
+        predicted = {f"predicted_{name}": size for name, size in self._told(self.predicted).items()}
+        costs = {f"predicted_{name}_bytes": getattr(self.cost, name) for name in self.costs}
+        return {**self.decisions(), **predicted, **costs}
 
+    @abstractmethod
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts, which `--plan` prints before the stages."""
-        ...
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the job needs more bytes than these, in total or in one
-        buffer; the message says what would fit."""
-        ...
+        buffer; the message says what helps."""
+        if shortage := self.cost.shortage(max_memory, max_allocation):
+            raise MemoryLimitError(self.refusal.format(plan=self, shortage=shortage))
+
+    def _told(self, names: Iterable[str]) -> dict[str, Any]:
+        """Return attributes in JSON types, by name."""
+        pairs = (name.partition(": ") for name in names)
+        return {name: _json(attrgetter(path or name)(self)) for name, _, path in pairs}
+
+
+def _json(value: Any) -> Any:
+    """Return a value whose tuples have become lists."""
+    return [_json(item) for item in value] if isinstance(value, tuple) else value
 
 
 class Job(ABC, Generic[Result]):

@@ -20,7 +20,7 @@ from voxtool.adf.field import DistanceField
 from voxtool.adf.scene import FieldScene
 from voxtool.camera import FOV, MAX_SIDE, Camera, Rays
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
-from voxtool.job import Cost, Job, one_call
+from voxtool.job import Cost, Job, Plan, one_call
 from voxtool.memory import check_memory
 from voxtool.opencl import Device, default_device
 from voxtool.svo.merged import MergedOctree
@@ -59,9 +59,11 @@ def scene_of(content: Content, **options: Any) -> Scene:
 
 
 @dataclass(frozen=True)
-class RenderPlan:
+class RenderPlan(Plan):
     """The plan of a picture: the scene, width and height in pixels, and samples along a pixel's
     side."""
+
+    facts = ("kind: scene.kind", "size", "samples", "rays")
 
     scene: Scene
     size: tuple[int, int]
@@ -72,7 +74,7 @@ class RenderPlan:
         return self.scene.stages
 
     @property
-    def left_out(self) -> dict[str, str]:
+    def reasons(self) -> dict[str, str]:
         return self.scene.left_out
 
     @property
@@ -88,17 +90,8 @@ class RenderPlan:
         pixels = RAY_BYTES * self.size[0] * self.size[1]
         return Cost(self.scene.device_bytes + rays, host=rays + 6 * pixels, largest=rays)
 
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "kind": self.scene.kind,
-            "size": list(self.size),
-            "samples": self.samples,
-            "rays": self.rays,
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            **self.scene.counts,
-            "predicted_device_bytes": self.cost.device,
-        }
+    def decisions(self) -> dict[str, Any]:
+        return {**super().decisions(), **self.scene.counts}
 
     def rows(self) -> list[tuple[str, str]]:
         each = f" of {self.samples} x {self.samples} rays" if self.samples > 1 else ""

@@ -220,7 +220,7 @@ def test_plan(here: Path) -> None:
     assert not list(here.glob("*.adf.h5"))
     field = build_adf(load_mesh("open.obj"), tolerance=1e-3, max_level=4)
     assert sum(plan.refined) == len(field.voxels) == plan.blocks  # few levels: all are counted
-    assert field.plan == plan.scene()
+    assert field.plan == plan.decisions()
 
 
 def test_plan_foretells_what_is_built(here: Path) -> None:

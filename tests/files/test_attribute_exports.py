@@ -363,10 +363,10 @@ def test_one_array_is_the_label_unless_another_is_asked_for(tmp_path: Path) -> N
     octree = octree_at_a_place()
     for name in [name for name, each in EXCHANGE.items() if each.attributes == "one"]:
         plan = voxtool.plan_export(octree, tmp_path / f"a.{name}").plan
-        assert plan.facts["attributes"] == ["label"]
+        assert plan.about["attributes"] == ["label"]
         assert list(plan.left_out) == ["attributes colour, normal, area, fraction, faces"]
     plan = voxtool.plan_export(octree, tmp_path / "a.npy", attributes="none").plan
-    assert "attributes" not in plan.facts
+    assert "attributes" not in plan.about
     assert plan.image.dtype == bool
     less = replace(octree, attributes=octree.attributes[1:2])
     assert voxtool.plan_export(less, tmp_path / "a.npy").plan.image.dtype == bool

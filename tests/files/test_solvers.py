@@ -172,7 +172,7 @@ def test_labels_are_materials(name: str, level: int, tmp_path: Path) -> None:
     for low, high in ((1, 2), (1, 3), (2, 3)):
         expected = faces_between(labels, low, high)
         own = f"{names[low - 1]}-{names[high - 1]}"
-        assert job.plan.facts["surfaces"][own] == len(expected)
+        assert job.plan.about["surfaces"][own] == len(expected)
         inner += len(expected)
         if name == "inp":
             text = (tmp_path / "a.inp").read_text()

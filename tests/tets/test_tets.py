@@ -676,7 +676,7 @@ def test_the_plan_foretells(layout: str) -> None:
     plan, volume = job.plan, built(mesh, layout)
     assert plan.cells == {kind: len(block) for kind, block in mesh.cells}
     assert len(volume.cells) <= plan.predicted_cells <= 1.2 * len(volume.cells)
-    assert volume.plan == plan.scene()
+    assert volume.plan == plan.decisions()
     assert "splitting" not in job.left_out
     assert "splitting" in plan_tet(cube(5), layout).left_out
     stages: list[str] = []

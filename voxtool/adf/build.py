@@ -432,7 +432,7 @@ class _Build:
             continuous=plan.continuous,
             lipschitz=float(work.steepest.get().view(np.float32)[0]),
             reached=reached,
-            plan=plan.scene(),
+            plan=plan.decisions(),
             source_sha256=mesh.source_sha256,
             units=mesh.units,
             transform=mesh.transform,

@@ -22,7 +22,7 @@ from voxtool.choices import (
     MIN_TEXTURE_3D,
 )
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
-from voxtool.job import Cost
+from voxtool.job import Cost, Plan
 
 VOXEL_BYTES = 27 * 4  # of a block
 BLOCK_BYTES = VOXEL_BYTES + 8 + 8 + 1  # and cell, bounds, and about as much of the hash
@@ -41,7 +41,7 @@ BALL_BYTES = 1  # of a triangle in a list while it is sampled, beside CELL_BYTES
 
 
 @dataclass(frozen=True)
-class FieldPlan:
+class FieldPlan(Plan):
     """The decisions of a build, and the cells counted so far.
 
     triangles, flat, crossed, undecided: number of triangles, of those without area, of those that
@@ -50,6 +50,9 @@ class FieldPlan:
     examined at once. refined: number of refined cells of each
     level counted so far; items: triangles in the lists of the last counted level.
     """
+
+    facts = ("triangles", "crossed_triangles: crossed", "closed")
+    predicted = ("blocks", "field_bytes", "disk_bytes: disk")
 
     triangles: int
     sign: str
@@ -110,12 +113,11 @@ class FieldPlan:
         ]
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The stages and data that are not needed, with reasons."""
+    def reasons(self) -> dict[str, str]:
         unsigned = "distances have no sign" if self.sign == "none" else ""
         other_sign = "the sign is by pseudo-normals" if self.sign == "pseudonormal" else ""
         narrow = f"leaves end at level {self.max_level}, of {NARROW_LEVEL} that 32 bits serve"
-        reasons = {
+        return {
             "winding numbers": unsigned or other_sign,
             "pseudo-normals": unsigned,
             "faces without a side": "" if unsigned or self.flat else "every face has an area",
@@ -125,9 +127,8 @@ class FieldPlan:
             "64-bit identifiers": narrow if self.max_level <= NARROW_LEVEL else "",
             "error measurement": "" if self.measure else "not requested",
         }
-        return {what: why for what, why in reasons.items() if why}
 
-    def predicted(self) -> list[int]:
+    def refined_cells(self) -> list[int]:
         """Return the refined cells of each level: counted, then predicted by GROWTH."""
         counts = list(self.refined)
         while counts and counts[-1] and len(counts) < self.max_level:
@@ -142,12 +143,12 @@ class FieldPlan:
     @property
     def blocks(self) -> int:
         """The predicted number of blocks, approximately an upper bound."""
-        return sum(self.predicted())
+        return sum(self.refined_cells())
 
     @property
     def cost(self) -> Cost:
         """The peak memory of the build, approximately an upper bound."""
-        return self._cost(self.predicted())
+        return self._cost(self.refined_cells())
 
     def fitting(self, max_memory: int, max_allocation: int) -> FieldPlan:
         """Return the plan that is predicted to fit, as far as stores and smaller windows help."""
@@ -182,33 +183,20 @@ class FieldPlan:
         """Bytes of the disk that voxels and levels are predicted to take while they wait."""
         if not self.stored:
             return 0
-        counts = self.predicted()
+        counts = self.refined_cells()
         waiting = LEFT_BYTES * sum(counts[-3:-1]) + ITEM_BYTES * max(self.items, self.triangles)
         return VOXEL_BYTES * sum(counts) + waiting
 
-    def scene(self) -> dict[str, Any]:
-        """Return the part that depends on the mesh, to be stored with the output: JSON types."""
-        return {
-            "triangles": self.triangles,
-            "crossed_triangles": self.crossed,
-            "closed": self.closed,
-            "stages": self.stages,
-            "left_out": self.left_out,
-        }
+    @property
+    def field_bytes(self) -> int:
+        """The predicted bytes of the field."""
+        return BLOCK_BYTES * self.blocks
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the plan with its costs: JSON types."""
-        return {
-            **self.scene(),
-            "refined_cells": list(self.refined),
-            "predicted_blocks": self.blocks,
-            "predicted_field_bytes": BLOCK_BYTES * self.blocks,
-            "predicted_disk_bytes": self.disk,
-            "predicted_device_bytes": self.cost.device,
-        }
+        refined = {"refined_cells": list(self.refined)}
+        return {**self.decisions(), **refined, **super().as_dict()}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what `--plan` prints before the stages: names and texts."""
         counted = ", ".join(f"{count:,}" for count in self.refined)
         decided = f"tolerance {self.tolerance:.3g} sides, levels to {self.max_level}"
         cells = f"{counted} cells are refined, of level 0, 1, ..."
@@ -216,7 +204,7 @@ class FieldPlan:
         return [
             ("field", f"{decided}, sign {self.sign}"),
             ("scene", f"{self.triangles:,} triangles; {cells}"),
-            ("blocks", f"at most about {self.blocks:,}, {human(BLOCK_BYTES * self.blocks)}"),
+            ("blocks", f"at most about {self.blocks:,}, {human(self.field_bytes)}"),
             *([("disk", waits)] if self.stored else []),
         ]
 

@@ -253,6 +253,6 @@ def facts_of(job: ExportJob, content: Content) -> dict[str, Any]:
     """Return the facts of the report, in JSON types; the digest is that of the content."""
     return {
         "format": job.plan.name,
-        **job.plan.facts,
+        **job.plan.about,
         "digest": content.digest(),
     }

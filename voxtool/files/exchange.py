@@ -47,7 +47,7 @@ from voxtool.files.lattices import unit_checked
 from voxtool.files.streams import PathLike
 from voxtool.files.vtkhdf_volume import VolumeCells
 from voxtool.grid import Grid, check_single
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.memory import available_memory, check_disk
 from voxtool.opencl import Device
 from voxtool.svo.attribute_image import AttributeImage, attributes_of
@@ -84,15 +84,19 @@ def place_of(
 
 
 @dataclass(frozen=True)
-class ExportPlan:
+class ExportPlan(Plan):
     """The plan of an export: the image, the format and the bytes to come."""
+
+    stages = (WRITE,)
+    facts = ()
+    costs = ("host",)
+    refusal = "the export {shortage}: choose {plan.instead}"
 
     image: Image
     name: str
     size: int
     options: dict[str, Any]
-    stages: tuple[str, ...] = (WRITE,)
-    left_out: dict[str, str] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
 
     @property
     def format(self) -> Exchange:
@@ -110,19 +114,12 @@ class ExportPlan:
         """The attributes that are written beside the image."""
         return attributes_of(self.image)
 
-    def as_dict(self) -> dict[str, Any]:
-        return {
-            "format": self.name,
-            "keeps": self.format.keeps,
-            **self.facts,
-            "bytes": self.size,
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_host_bytes": self.cost.host,
-        }
+    def decisions(self) -> dict[str, Any]:
+        about = {"format": self.name, "keeps": self.format.keeps, **self.about, "bytes": self.size}
+        return {**about, **super().decisions()}
 
     @property
-    def facts(self) -> dict[str, Any]:
+    def about(self) -> dict[str, Any]:
         """The shape, place and types of the image, in JSON types."""
         image = self.image
         if isinstance(image, VolumeCells):
@@ -144,7 +141,7 @@ class ExportPlan:
         cells = "samples" if isinstance(image, LevelSet | FieldSamples) else "cells"
         cells += f" of level {image.level}" if image.level else ""
         cells += " in windows" if isinstance(image, ImageInParts) else ""
-        names = self.facts.get("attributes")
+        names = self.about.get("attributes")
         cells += f" with {', '.join(names)}" if names else ""
         return f"{' x '.join(map(str, image.shape))} {cells}"
 
@@ -160,13 +157,10 @@ class ExportPlan:
             ("file", f".{self.name}, at most {human(self.size)}; it keeps {self.format.keeps}"),
         ]
 
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        if self.cost.host > max_memory:
-            raise MemoryLimitError(
-                f"the export would need {human(self.cost.host)} of memory, of {human(max_memory)} "
-                f"allowed: choose {self.image.smaller}"
-                f"{', or --attribute none' if self.facts.get('attributes') else ''}"
-            )
+    @property
+    def instead(self) -> str:
+        """What to choose if memory is short."""
+        return f"{self.image.smaller}{', or --attribute none' * bool(self.about.get('attributes'))}"
 
 
 @dataclass(eq=False)
@@ -327,7 +321,7 @@ def plan_export(
         options["pattern"] = Path(path).name
     more = {"normals": True} if normals else {}
     size = writer_of(name, "size", image)(image, **more)
-    plan = ExportPlan(image, name, size, {**options, **more}, left_out=left_out)
+    plan = ExportPlan(image, name, size, {**options, **more}, reasons=left_out)
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
 
 

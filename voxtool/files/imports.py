@@ -27,7 +27,7 @@ from typing import Any, BinaryIO
 from voxtool.adf.field import DistanceField
 from voxtool.adf.from_image import WORK_BYTES, ImageCube, check_request, field_of_image
 from voxtool.choices import DEFAULT_TOLERANCE
-from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one_line
+from voxtool.errors import FileError, VoxtoolError, one_line
 from voxtool.files import streams
 from voxtool.files.formats import (
     ADF_FORMATS,
@@ -44,7 +44,7 @@ from voxtool.files.formats import (
 from voxtool.files.streams import PathLike
 from voxtool.files.voxels import PIECE, Rule, Stored, array_of, octree_of
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.memory import at_most, available_memory
 from voxtool.opencl import Device
 from voxtool.svo.octree import Octree
@@ -141,9 +141,15 @@ class Source:
 
 
 @dataclass(frozen=True)
-class ImportPlan:
+class ImportPlan(Plan):
     """The plan of an import, from the header of a file: its format, grid and unit, and what becomes
     of it, an octree by a rule or a field."""
+
+    facts = ()
+    costs = ("host",)
+    refusal = (
+        "the import {shortage}: import a part of the image, or a coarser one (see --max-memory)"
+    )
 
     name: str
     grid: Grid
@@ -155,13 +161,7 @@ class ImportPlan:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages, in order."""
         return (READ, SAMPLE) if self.as_field else (READ,)
-
-    @property
-    def left_out(self) -> dict[str, str]:
-        """Nothing."""
-        return {}
 
     @property
     def cost(self) -> Cost:
@@ -179,9 +179,9 @@ class ImportPlan:
         """The cube of a field."""
         return ImageCube(self.grid)
 
-    def as_dict(self) -> dict[str, Any]:
+    def decisions(self) -> dict[str, Any]:
         grid, cube = self.grid, self.cube
-        about_field = {
+        field = {
             "side": cube.side,
             "tolerance": self.tolerance,
             "max_level": self.max_level or cube.default_level,
@@ -194,10 +194,8 @@ class ImportPlan:
             "pitch": list(grid.pitch),
             "units": self.units,
             "becomes": "field" if self.as_field else "octree",
-            **(about_field if self.as_field else {}),
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_host_bytes": self.cost.host,
+            **(field if self.as_field else {}),
+            **super().decisions(),
         }
 
     def rows(self) -> list[tuple[str, str]]:
@@ -215,13 +213,6 @@ class ImportPlan:
         else:
             rows.append(("octree", f"dim {grid.dim}; it takes memory by what is set"))
         return rows
-
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        if self.cost.host > max_memory:
-            raise MemoryLimitError(
-                f"the import would need {human(self.cost.host)} of memory, of {human(max_memory)} "
-                "allowed: import a part of the image, or a coarser one (see --max-memory)"
-            )
 
 
 @dataclass(eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import MemoryLimitError, human
-from voxtool.job import Cost
+from voxtool.job import Cost, Plan
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.spatial.distance import POINTS_AT_ONCE, rounded_bytes
 from voxtool.svo.layout import BRICK_BYTES
@@ -32,8 +32,14 @@ VERTEX_HOST_BYTES = 1200  # of a vertex of the surface and its two faces, at pea
 
 
 @dataclass(frozen=True)
-class RepairPlan:
+class RepairPlan(Plan):
     """The decisions of a repair."""
+
+    facts = (
+        "pitch", "offset", "shell", "thicken", "simplify", "drains", "keep_components: keep",
+    )  # fmt: skip
+    predicted = ("vertices", "triangles: triangles_made")
+    costs = ("device", "host")
 
     voxels: VoxelizePlan
     triangles: int  # of the mesh
@@ -48,7 +54,6 @@ class RepairPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         components = ["components", "build"] if self.keep is not None else []
         plate = ["plate"] if self.thicken else []
         fit = ["tree", "fit", "self-intersections", "distances"]
@@ -58,16 +63,14 @@ class RepairPlan:
         return [*self.voxels.stages, *plate, *components, *NET_STAGES, *fit, *shaped, "check"]
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
-        out = dict(self.voxels.left_out)
-        if self.keep is None:
-            out["components"] = "all of them are kept"
-        if not (self.offset or self.shell or self.thicken):
-            out["sets of voxels by distance"] = "the surface is that of the mesh"
-        if not self.simplify:
-            out["simplification"] = "every triangle is kept"
-        return out
+    def reasons(self) -> dict[str, str]:
+        moved = self.offset or self.shell or self.thicken
+        return {
+            **self.voxels.left_out,
+            "components": "all of them are kept" if self.keep is None else "",
+            "sets of voxels by distance": "" if moved else "the surface is that of the mesh",
+            "simplification": "" if self.simplify else "every triangle is kept",
+        }
 
     @property
     def vertices(self) -> int:
@@ -100,26 +103,17 @@ class RepairPlan:
             fits = int(max(self.voxels.shape) * math.sqrt(share))
             raise MemoryLimitError(f"the repair {shortage}: choose --dim {fits} (see --max-memory)")
 
+    @property
+    def triangles_made(self) -> int:
+        """Predicted triangles of the result."""
+        return 2 * self.vertices
+
     def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            **self.voxels.as_dict(),
-            "pitch": self.pitch,
-            **{name: getattr(self, name) for name in ("offset", "shell", "thicken", "simplify")},
-            "drains": list(map(list, self.drains)),
-            "keep_components": self.keep,
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_vertices": self.vertices,
-            "predicted_triangles": 2 * self.vertices,
-            "predicted_device_bytes": self.cost.device,
-            "predicted_host_bytes": self.cost.host,
-        }
+        return {**self.voxels.as_dict(), **super().as_dict()}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         return [
             *self.voxels.rows(),
-            ("surface", f"about {self.vertices:,} vertices, {2 * self.vertices:,} triangles"),
+            ("surface", f"about {self.vertices:,} vertices, {self.triangles_made:,} triangles"),
             ("host", f"about {human(self.cost.host)}"),
         ]

@@ -14,7 +14,7 @@ Kernels: kernels/svo/booleans.cl.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 from voxtool.choices import OPERATIONS
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError, count_of
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job, one_call
+from voxtool.job import Cost, Job, Plan, one_call
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import SCAN, exclusive_scan
@@ -87,16 +87,25 @@ class Terms:
 
 
 @dataclass(frozen=True)
-class CombinePlan:
+class CombinePlan(Plan):
     """The plan of a combination, from the numbers of nodes of its operands."""
+
+    stages = STAGES
+    facts = (
+        "operation", "operands", "moved", "shape: grid.shape", "origin: grid.origin",
+        "pitch: grid.pitch", "refined",
+    )  # fmt: skip
+    costs = ("device", "host")
+    refusal = (
+        "{plan.operation} of {plan.operands} octrees {shortage}: combine fewer at once, voxelize "
+        "at a smaller dim, or allow more (see --max-memory)"
+    )
 
     operation: str
     grid: Grid
     operands: int
     moved: int  # operands whose origin is not that of the result
     refined: tuple[int, ...]  # refined nodes of all operands by level, from level 1 up
-    stages: tuple[str, ...] = STAGES
-    left_out: dict[str, str] = field(default_factory=dict)
 
     @property
     def open_nodes(self) -> list[int]:
@@ -113,22 +122,7 @@ class CombinePlan:
         working = OPEN_BYTES * sum(self.open_nodes) + entries + 32 * sum(self.refined)
         return Cost(given + working + 2 * bricks + nodes, nodes + bricks, max(given, nodes))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the plan in JSON types."""
-        return {
-            "operation": self.operation,
-            "operands": self.operands,
-            "moved": self.moved,
-            **{name: list(getattr(self.grid, name)) for name in ("shape", "origin", "pitch")},
-            "refined": list(self.refined),
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_device_bytes": self.cost.device,
-            "predicted_host_bytes": self.cost.host,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Return what `--plan` prints before the stages."""
         shape = " x ".join(map(str, self.grid.shape))
         return [
             ("operation", f"{self.operation}, of {count_of(self.operands, 'octree')}"),
@@ -139,14 +133,6 @@ class CombinePlan:
             ),
             ("grid", f"{shape} voxels"),
         ]
-
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the combination needs more bytes, in total or in one buffer."""
-        if shortage := self.cost.shortage(max_memory, max_allocation):
-            raise MemoryLimitError(
-                f"{self.operation} of {self.operands} octrees {shortage}: combine fewer at once, "
-                "voxelize at a smaller dim, or allow more (see --max-memory)"
-            )
 
 
 def plan_combine(

@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 
 from voxtool.choices import NEIGHBOURS
-from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
-from voxtool.job import Cost, Job
+from voxtool.errors import VoxtoolError, count_of
+from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.attribution.carry import lost, with_attributes
@@ -259,8 +258,12 @@ def check_neighbours(neighbours: int) -> None:
 
 
 @dataclass(frozen=True)
-class ComponentsPlan:
+class ComponentsPlan(Plan):
     """The decisions of work on components."""
+
+    facts = ("operation", "largest", "min_size", "neighbours")
+    predicted, costs = ("tiles",), ("host",)
+    refusal = f"components {{shortage}}: {FEWER}"
 
     operation: str  # KEEP, FILL or LABEL
     neighbours: int
@@ -270,40 +273,17 @@ class ComponentsPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         return STAGES[self.operation]
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not allocated or run, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         return {"voxels of leaves": "a leaf is one piece"}
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
         return Cost(device=0, host=BRICK_HOST_BYTES[self.neighbours] * BRICKS * self.tiles)
 
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the work needs more bytes."""
-        if self.cost.host > max_memory:
-            raise MemoryLimitError(
-                f"components would need {human(self.cost.host)} of memory, of "
-                f"{human(max_memory)} allowed: {FEWER}"
-            )
-
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        names = ("operation", "largest", "min_size", "neighbours")
-        return {
-            **{name: getattr(self, name) for name in names},
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_tiles": self.tiles,
-            "predicted_host_bytes": self.cost.host,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         return [("tiles", f"{self.tiles:,} of {TILE} x {TILE} x {TILE} voxels are mixed")]
 
 

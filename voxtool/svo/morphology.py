@@ -18,14 +18,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from voxtool.choices import ELEMENTS, MORPHOLOGY
-from voxtool.errors import MemoryLimitError, VoxtoolError, at_least
+from voxtool.errors import VoxtoolError, at_least
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.morton import among, spread_bits
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.attribution.carry import lost, with_attributes
@@ -172,8 +171,23 @@ def erode(device: Device, voxels: Tiling, element: Element, batch: int, box: Box
 
 
 @dataclass(frozen=True)
-class MorphPlan:
+class MorphPlan(Plan):
     """The decisions of a morphological operation."""
+
+    facts = (
+        "operation",
+        "radius",
+        "world",
+        "shape",
+        "reach: element.reach",
+        "grid: grid.shape",
+        "low",
+    )
+    predicted = ("tiles",)
+    refusal = (
+        "to {plan.operation} by {plan.radius:g} {shortage}: choose a smaller radius, make it "
+        "coarser by --resample, or allow more (see --max-memory)"
+    )
 
     operation: str
     radius: float
@@ -187,7 +201,6 @@ class MorphPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         first = {"dilate": "dilate", "close": "dilate"}.get(self.operation, "erode")
         second = "erode" if first == "dilate" else "dilate"
         return [*(first, second)[: self.passes], "build"]
@@ -204,12 +217,12 @@ class MorphPlan:
         return Box(low, low + max(self.grid.side, TILE))
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
-        out = {"nodes away from the boundary": "they stay leaves"}
-        if self.low == (0, 0, 0):
-            out["voxels before the grid"] = "the result does not reach them"
-        return out
+    def reasons(self) -> dict[str, str]:
+        before = "the result does not reach them" if self.low == (0, 0, 0) else ""
+        return {
+            "nodes away from the boundary": "they stay leaves",
+            "voxels before the grid": before,
+        }
 
     @property
     def cost(self) -> Cost:
@@ -221,29 +234,7 @@ class MorphPlan:
         host = COPIES * held + reached * BRICK_BYTES * BRICKS
         return Cost(device=held + batch, host=host, largest=max(held // 2, batch))
 
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the operation needs more bytes."""
-        if shortage := self.cost.shortage(max_memory, max_allocation):
-            raise MemoryLimitError(
-                f"to {self.operation} by {self.radius:g} {shortage}: choose a smaller radius, "
-                "make it coarser by --resample, or allow more (see --max-memory)"
-            )
-
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            **{name: getattr(self, name) for name in ("operation", "radius", "world", "shape")},
-            "reach": list(self.element.reach),
-            "grid": list(self.grid.shape),
-            "low": list(self.low),
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_tiles": self.tiles,
-            "predicted_device_bytes": self.cost.device,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         unit = "in world units" if self.world else "voxels"
         shape = " x ".join(map(str, self.grid.shape))
         return [

@@ -10,7 +10,7 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.grid import FIXED_POINT_BITS
-from voxtool.job import Cost
+from voxtool.job import Cost, Plan
 from voxtool.svo.connected.about import CONNECTED, RULE
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
@@ -50,7 +50,7 @@ class Survey:
 
 
 @dataclass(frozen=True)
-class VoxelizePlan:
+class VoxelizePlan(Plan):
     """The decisions on how a mesh is voxelized."""
 
     survey: Survey
@@ -118,7 +118,6 @@ class VoxelizePlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         stages = {
             COMPARISON: self.choice != "",
             "survey": True,
@@ -217,41 +216,30 @@ class VoxelizePlan:
         return round(voxels + (ax if self.solid else 0)) + self.survey.triangles
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         extent = f"the largest triangle spans {self.survey.extent:.1f} voxels"
-        out = {}
-        if not self.wide:
-            out["128-bit predicates"] = f"{extent}; 64 bits suffice up to {NARROW_EXTENT}"
-        if self.code_bits == 32:
-            out["64-bit Morton codes"] = (
-                f"the octree's side is {self.side}; 32 bits suffice up to {CODE_32_SIDE}"
-            )
-        if not self.blocked:
-            out["blocked level-1 volume"] = (
-                f"a dense one takes {_dense_bytes(self.side, CELL):,} bytes"
-            )
-        if not self.tiled:
-            out["sharing of triangles among work-items"] = extent
-        if not self.solid:
-            out["crossings, rows and fill"] = "the mode is a surface"
-        elif self.fill == "flood":
-            out["crossings, rows and fill"] = "the outside is flooded"
-        elif not self.entry:
-            out["state of rows on entry"] = "no triangle reaches beyond the low-x side"
-        if not self.surface and not self.connected:
-            out["surface voxels"] = "the mode is solid, without its surface"
-        if self.connected and not self.connects:
-            out["connecting of thin parts"] = "a flood holds every voxel that touches the mesh"
-        if self.listed and not self.caps:
-            out["winding numbers near holes"] = (
-                "no edge bounds a hole: integers decide every voxel"
-                if self.fill == "winding"
-                else "the rule counts crossings, also near holes"
-            )
-        if self.fill == "parity":
-            out["directions of crossings"] = "parity does not need them"
-        return out
+        narrow = f"{extent}; 64 bits suffice up to {NARROW_EXTENT}"
+        codes = f"the octree's side is {self.side}; 32 bits suffice up to {CODE_32_SIDE}"
+        dense = f"a dense one takes {_dense_bytes(self.side, CELL):,} bytes"
+        whole = "the outside is flooded" if self.solid else "the mode is a surface"
+        before = "no triangle reaches beyond the low-x side"
+        alone = "" if self.surface or self.connected else "the mode is solid, without its surface"
+        thick = "a flood holds every voxel that touches the mesh"
+        holes = "the rule counts crossings, also near holes"
+        if self.fill == "winding":
+            holes = "no edge bounds a hole: integers decide every voxel"
+        return {
+            "128-bit predicates": "" if self.wide else narrow,
+            "64-bit Morton codes": codes if self.code_bits == 32 else "",
+            "blocked level-1 volume": "" if self.blocked else dense,
+            "sharing of triangles among work-items": "" if self.tiled else extent,
+            "crossings, rows and fill": "" if self.by_rows else whole,
+            "state of rows on entry": before if self.by_rows and not self.entry else "",
+            "surface voxels": alone,
+            "connecting of thin parts": thick if self.connected and not self.connects else "",
+            "winding numbers near holes": holes if self.listed and not self.caps else "",
+            "directions of crossings": "parity does not need them" if self.fill == "parity" else "",
+        }
 
     def scene(self) -> dict[str, Any]:
         """The part of the plan that is stored in the octree, in JSON types."""
@@ -271,7 +259,6 @@ class VoxelizePlan:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """The whole plan with its costs, in JSON types."""
         return {
             "shape": list(self.shape),
             **self.scene(),
@@ -281,7 +268,6 @@ class VoxelizePlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         spans = f"the largest spans {self.survey.extent:.1f} voxels"
         counts = f"{self.survey.triangles - self.caps:,} triangles, {self.survey.outside:,} outside"
         levels = (self.side // BRICK_SIDE).bit_length()

@@ -18,15 +18,15 @@ Kernels: kernels/svo/query.cl, kernels/svo/nearest.cl.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from voxtool.arrays import Data
 from voxtool.choices import MAX_DIM
-from voxtool.errors import GridError, MemoryLimitError, VoxtoolError, human
-from voxtool.job import Cost, Job
+from voxtool.errors import GridError, VoxtoolError, human
+from voxtool.job import Cost, Job, Plan
 from voxtool.memory import check_memory
 from voxtool.morton import morton_encode
 from voxtool.opencl import Array, Device, default_device, program
@@ -294,8 +294,11 @@ def _uploaded(octree: Octree | MergedOctree, device: Device) -> dict[str, Array 
 
 
 @dataclass(frozen=True)
-class QueryPlan:
+class QueryPlan(Plan):
     """The plan of queries at points."""
+
+    costs = ("device", "host")
+    refusal = "queries of the octree {shortage}: voxelize with a smaller dim, or with --dag"
 
     nbytes: int  # of the octree on the device
     bricks: int
@@ -307,47 +310,30 @@ class QueryPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages, in order."""
         return ["upload", "query", *["nearest"] * self.nearest]
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not run, each with the reason."""
-        out = {} if self.level is not None else {"coverage": "no level is given"}
-        if not self.nearest:
-            out["nearest voxels"] = "not requested"
-        if self.merged:
-            out["nodes of equal subtrees"] = "points follow the links of distinct ones"
-        return out
+    def reasons(self) -> dict[str, str]:
+        return {
+            "coverage": "no level is given" if self.level is None else "",
+            "nearest voxels": "" if self.nearest else "not requested",
+            "nodes of equal subtrees": (
+                "points follow the links of distinct ones" if self.merged else ""
+            ),
+        }
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
         counted = self.level not in (None, "voxel")
         points = (POINT_BYTES + NEAREST_BYTES * self.nearest) * self.block
         return Cost(self.nbytes + points, COUNT_BYTES * self.bricks * counted, self.nbytes + points)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            **asdict(self),
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_device_bytes": self.cost.device,
-            "predicted_host_bytes": self.cost.host,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         kind = "merged octree" if self.merged else "octree"
         return [("octree", f"{kind}, {human(self.nbytes)} on the device")]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the work needs more bytes."""
-        if shortage := self.cost.shortage(max_memory, max_allocation):
-            raise MemoryLimitError(
-                f"queries of the octree {shortage}: voxelize with a smaller dim, or with --dag"
-            )
+        super().refuse_beyond(max_memory, max_allocation)
         check_memory(self.cost.host, "coverages", "choose level 'voxel', or a smaller octree")
 
 

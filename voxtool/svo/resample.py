@@ -22,7 +22,7 @@ import numpy as np
 from voxtool.choices import MAX_DIM
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device, default_device, program
@@ -171,8 +171,15 @@ class Source:
 
 
 @dataclass(frozen=True)
-class ResamplePlan:
+class ResamplePlan(Plan):
     """The decisions of a resampling."""
+
+    operation, stages = "resample", ("coverage", "build")
+    facts = (
+        "operation", "shape: grid.shape", "origin: grid.origin", "pitch: grid.pitch", "threshold",
+        "exact", "beyond", "nodes",
+    )  # fmt: skip
+    predicted, costs = ("bricks",), ("device", "host")
 
     grid: Grid
     threshold: float
@@ -180,15 +187,14 @@ class ResamplePlan:
     nodes: tuple[int, ...]  # refined ones, by level from the root down to level 1
     given: int  # bytes of the octree
     beyond: float = 0.0  # the share of the set voxels, by volume, that lies beyond the grid
-    stages: tuple[str, ...] = ("coverage", "build")
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
-        out = {"nodes that cover only set or only unset voxels": "they are leaves"}
-        if self.exact:
-            out["rounding of planes"] = "they are fractions with a small denominator"
-        return out
+    def reasons(self) -> dict[str, str]:
+        exact = "they are fractions with a small denominator" if self.exact else ""
+        return {
+            "nodes that cover only set or only unset voxels": "they are leaves",
+            "rounding of planes": exact,
+        }
 
     @property
     def bricks(self) -> int:
@@ -197,31 +203,12 @@ class ResamplePlan:
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
         return _cost(self.given, self.grid.side, self.bricks)
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the work needs more bytes."""
         _refuse(self.cost, max_memory, max_allocation)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            "operation": "resample",
-            **{name: list(getattr(self.grid, name)) for name in ("shape", "origin", "pitch")},
-            "threshold": self.threshold,
-            "exact": self.exact,
-            "beyond": self.beyond,
-            "nodes": list(self.nodes),
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_bricks": self.bricks,
-            "predicted_device_bytes": self.cost.device,
-            "predicted_host_bytes": self.cost.host,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         sizes = " x ".join(f"{size:.6g}" for size in self.grid.pitch)
         planes = "exact" if self.exact else f"rounded to 1/{FINEST} of a voxel"
         return [

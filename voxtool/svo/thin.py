@@ -16,12 +16,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
-from voxtool.errors import MemoryLimitError, VoxtoolError, human
-from voxtool.job import Cost, Job
+from voxtool.errors import VoxtoolError
+from voxtool.job import Cost, Job, Plan
 from voxtool.morton import distinct, morton_decode, morton_encode, morton_step
 from voxtool.svo.attribution.carry import lost
 from voxtool.svo.components import BRICK_HOST_BYTES, FEWER, Components
@@ -136,50 +135,33 @@ class Peeling:
 
 
 @dataclass(frozen=True)
-class ThinPlan:
+class ThinPlan(Plan):
     """The decisions of thinning."""
+
+    operation, stages = "thin", ("components", "thin", "build")
+    facts = ("operation", "neighbours", "voxels")
+    predicted, costs = ("tiles",), ("host",)
+    refusal = f"thinning {{shortage}}: {FEWER}"
 
     neighbours: int
     voxels: int
     tiles: int
-    stages: tuple[str, ...] = ("components", "thin", "build")
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not allocated or run, each with the reason."""
-        out = {"voxels away from the surface": "only neighbours of set voxels have labels"}
-        if self.neighbours == 6:
-            out["neighbours across edges and corners"] = "paths go across faces"
-        return out
+    def reasons(self) -> dict[str, str]:
+        return {
+            "voxels away from the surface": "only neighbours of set voxels have labels",
+            "neighbours across edges and corners": (
+                "paths go across faces" if self.neighbours == 6 else ""
+            ),
+        }
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
         parts = BRICK_HOST_BYTES[self.neighbours] * BRICKS * self.tiles
         return Cost(device=0, host=parts + HOST_BYTES * self.voxels)
 
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the work needs more bytes."""
-        if self.cost.host > max_memory:
-            raise MemoryLimitError(
-                f"thinning would need {human(self.cost.host)} of memory, of {human(max_memory)} "
-                f"allowed: {FEWER}"
-            )
-
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            "operation": "thin",
-            "neighbours": self.neighbours,
-            "voxels": self.voxels,
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_tiles": self.tiles,
-            "predicted_host_bytes": self.cost.host,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         return [("voxels", f"{self.voxels:,} set ones, thinned for {self.neighbours}-separation")]
 
 

@@ -24,7 +24,7 @@ from voxtool.arrays import Data, digest_of
 from voxtool.choices import FLUIDS, LATTICES
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device, program
 from voxtool.spatial.bvh import build_tree, tree_bytes
@@ -116,8 +116,13 @@ class WallLinks(Data):
 
 
 @dataclass(frozen=True)
-class LinksPlan:
+class LinksPlan(Plan):
     """The plan: which links there are, and what measuring them takes."""
+
+    stages = (TREE, MEASURE)
+    facts = ("lattice", "fluid", "voxels", "links", "triangles", "bytes")
+    costs = ("device", "host")
+    refusal = "the links {shortage}: choose a smaller dim, or D3Q19"
 
     lattice: str
     fluid: str
@@ -127,13 +132,11 @@ class LinksPlan:
     vertices: int
     held: int  # bytes of the octree's image, while links are found
     wide: bool | None = None  # predicates use 128 bits; None: as the mesh's largest triangle needs
-    stages: tuple[str, ...] = (TREE, MEASURE)
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """Reasons by the name of what is not computed."""
+    def reasons(self) -> dict[str, str]:
         count = LATTICES[self.lattice]
-        return {} if count == len(STEPS) else {"links to corners": f"{self.lattice} has none"}
+        return {"links to corners": "" if count == len(STEPS) else f"{self.lattice} has none"}
 
     @property
     def bytes(self) -> int:
@@ -150,17 +153,7 @@ class LinksPlan:
         return Cost(device + host, host, max(tree_bytes(self.triangles), chunk))
 
     def as_dict(self) -> dict[str, Any]:
-        cost = self.cost
-        names = ("lattice", "fluid", "voxels", "links", "triangles")
-        return {
-            **{name: getattr(self, name) for name in names},
-            "bytes": self.bytes,
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_device_bytes": cost.device,
-            "predicted_host_bytes": cost.host,
-            "largest_allocation": cost.largest,
-        }
+        return {**super().as_dict(), "largest_allocation": self.cost.largest}
 
     def rows(self) -> list[tuple[str, str]]:
         return [
@@ -169,10 +162,6 @@ class LinksPlan:
             ("mesh", f"{self.triangles:,} triangles"),
             ("file", f"at most {human(self.bytes)}"),
         ]
-
-    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        if shortage := self.cost.shortage(max_memory, max_allocation):
-            raise MemoryLimitError(f"the links {shortage}: choose a smaller dim, or D3Q19")
 
 
 @dataclass(eq=False)

@@ -7,7 +7,7 @@ from typing import Any
 
 from voxtool.choices import MAX_TEXTURE_2D, MIN_TEXTURE_2D
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
-from voxtool.job import Cost
+from voxtool.job import Cost, Plan
 from voxtool.tets.cells import PIECES
 from voxtool.tets.merge import MAX_PAIRS
 from voxtool.tets.packing import rows_for, width_for
@@ -19,7 +19,7 @@ PLANE_BYTES = {"raycast": 64, "projection": 48, "hexahedra": 96}  # of a cell's 
 
 
 @dataclass(frozen=True)
-class VolumePlan:
+class VolumePlan(Plan):
     """The plan of a volume.
 
     layout, merge_distance : as asked.
@@ -28,6 +28,9 @@ class VolumePlan:
     max_pairs : pairs of points, compared for merging, beyond which the work is refused.
     max_texture : texels along an axis of a 2-D texture, beyond which it is refused.
     """
+
+    facts = ("cells", "ignored", "points")
+    predicted = ("cells: predicted_cells", "volume_bytes")
 
     layout: str
     merge_distance: float
@@ -46,7 +49,6 @@ class VolumePlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         cells = "hexahedra" if self.layout == "hexahedra" else "tetrahedra"
         return [cells, "order", "neighbours", "planes", "gradients"]
 
@@ -56,8 +58,7 @@ class VolumePlan:
         return 3 if self.layout == "projection" else 4
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """Reasons by the name of what is not done or stored."""
+    def reasons(self) -> dict[str, str]:
         out = {}
         if self.cells.keys() == {"tetra"}:
             out["splitting"] = "every cell is a tetrahedron"
@@ -93,24 +94,11 @@ class VolumePlan:
             largest=PLANE_BYTES[self.layout] * cells,
         )
 
-    def scene(self) -> dict[str, Any]:
-        """Return the part of the plan that is stored with the output, in JSON types."""
-        names = ("cells", "ignored", "points", "stages", "left_out")
-        return {name: getattr(self, name) for name in names}
-
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
-        return {
-            "layout": self.layout,
-            "merge_distance": self.merge_distance,
-            **self.scene(),
-            "predicted_cells": self.predicted_cells,
-            "predicted_volume_bytes": self.volume_bytes,
-            "predicted_device_bytes": self.cost.device,
-        }
+        asked = {"layout": self.layout, "merge_distance": self.merge_distance}
+        return {**asked, **super().as_dict()}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         read = ", ".join(f"{count:,} {kind}" for kind, count in self.cells.items())
         return [
             ("volume", f"layout {self.layout}, merge distance {self.merge_distance:g}"),

@@ -153,7 +153,7 @@ class VolumeJob(Job[TetVolume]):
             heights,
             mesh.units,
             mesh.source_sha256,
-            self.plan.scene(),
+            self.plan.decisions(),
             {**counts, "boundary_faces": outside, **errors},
         )
 

@@ -94,12 +94,8 @@ class BarsPlan(WindowsPlan):
     @property
     def cost(self) -> Cost:
         """The predicted bytes of the largest bar, and of the states of all nodes."""
-        costs = [bar.plan.cost for bar in self.bars]
-        largest = {
-            name: max((getattr(cost, name) for cost in costs), default=0)
-            for name in ("device", "host", "largest")
-        }
-        return replace(Cost(**largest), host=largest["host"] + super().cost.host)
+        cost = Cost.most(bar.plan.cost for bar in self.bars)
+        return replace(cost, host=cost.host + super().cost.host)
 
     @property
     def disk(self) -> int:
@@ -107,7 +103,6 @@ class BarsPlan(WindowsPlan):
         return super().disk + self.shares
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         axes = ", ".join(AXES[axis] for axis in sorted({bar.axis for bar in self.bars}))
         side = self.bars[0].key[3] if self.bars else 0
         text = f"{count_of(self.count, 'bar')} along {axes}, {side} x {side} voxels across"

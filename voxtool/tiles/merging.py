@@ -49,7 +49,6 @@ class MergingPlan(WindowsPlan):
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         return [*super().stages, "merge subtrees"]
 
     @property
@@ -64,7 +63,6 @@ class MergingPlan(WindowsPlan):
         return 0
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         return [row for row in super().rows() if row[0] != "disk"]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.files.windows import Key, Window, Windows
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.memory import available_memory
 from voxtool.opencl import Device
 from voxtool.svo.attribution.carry import kept_bytes, kept_of, lost
@@ -29,7 +29,7 @@ from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.octree import Octree
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.subtree import Subtree, joined, leaf_subtree, subtree_of
-from voxtool.tiles.windows import halves_of, refuse_smallest, shape_of
+from voxtool.tiles.windows import disk_row, halves_of, refuse_smallest, shape_of
 
 LEAST = 64  # voxels along a side of a window
 MOST = 256  # windows along a side of the grid
@@ -88,7 +88,7 @@ class Operand:
 
 
 @dataclass(frozen=True)
-class OperationPlan:
+class OperationPlan(Plan):
     """The windows of an operation on octrees."""
 
     whole: Any  # the plan of the operation as a whole
@@ -98,13 +98,11 @@ class OperationPlan:
     disk: int  # predicted bytes of the file, and of windows that wait for it
 
     @property
-    def stages(self) -> list[str]:
-        """The stages that will run, in order."""
-        return list(self.whole.stages)
+    def stages(self) -> Sequence[str]:
+        return self.whole.stages
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         return {**self.whole.left_out, "cubes that are empty or full": "they are not read"}
 
     @property
@@ -113,18 +111,16 @@ class OperationPlan:
         return self.window
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
         facts = {"windows": self.count, "window_side": self.side}
         costs = {"predicted_device_bytes": self.cost.device, "predicted_disk_bytes": self.disk}
         return {**self.whole.as_dict(), **facts, **costs}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         text = f"about {count_of(self.count, 'window')} of {self.side} voxels a side"
         return [
             *self.whole.rows(),
             ("windows", f"{text}, one after the other"),
-            ("disk", f"about {human(self.disk)}, of the file and of windows that wait for it"),
+            disk_row(self.disk),
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.choices import COLOURS
-from voxtool.errors import count_of, human
+from voxtool.errors import count_of
 from voxtool.files.windows import Key, Window, Windows
 from voxtool.job import Cost
 from voxtool.mesh.mesh import Mesh
@@ -34,6 +34,7 @@ from voxtool.tiles.windows import (
     Part,
     WindowsJob,
     WindowsPlan,
+    disk_row,
     halves_of,
     mesh_of,
     shape_of,
@@ -57,7 +58,6 @@ class SpreadPlan(WindowsPlan):
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         return [*self.whole.stages, *["merge subtrees"] * self.merged]
 
     @property
@@ -77,20 +77,15 @@ class SpreadPlan(WindowsPlan):
         return stored_bytes(self.whole) * (not self.merged)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
         return {**super().as_dict(), "workers": self.workers}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         count = count_of(self.count, "window")
         rows = [
-            *(row for row in self.whole.rows() if row[0] not in ("octree", "work")),
+            *self._rows_of_whole(),
             ("windows", f"{count}, made by {count_of(self.workers, 'worker')} of Dask"),
         ]
-        if self.merged:
-            return rows
-        where = f"about {human(self.disk)}, of the file and of windows that wait for it"
-        return [*rows, ("disk", where)]
+        return rows if self.merged else [*rows, disk_row(self.disk)]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Merged subtrees have links of 32 bits, whose number is not known; workers plan for

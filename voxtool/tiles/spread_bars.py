@@ -42,7 +42,6 @@ class SpreadBarsPlan(BarsPlan):
         return f"made by {count_of(self.workers, 'worker')} of Dask"
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
         return {**super().as_dict(), "workers": self.workers}
 
 

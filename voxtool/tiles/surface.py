@@ -20,7 +20,7 @@ import numpy as np
 from voxtool.choices import MARCHING_CUBES, SHARP
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.files.spool import Piece, Spool
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Device
 from voxtool.svo.cells import AROUND, Cells
@@ -49,7 +49,7 @@ MAX_VERTICES = 1 << 31  # numbers of vertices are int32
 
 
 @dataclass(frozen=True)
-class SurfacePlan:
+class SurfacePlan(Plan):
     """The windows of an extraction."""
 
     whole: ExtractionPlan
@@ -60,12 +60,10 @@ class SurfacePlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         return self.window.stages
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         return self.window.left_out
 
     @property
@@ -75,12 +73,10 @@ class SurfacePlan:
         return replace(self.window.cost, host=3 * read)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
         whole = self.whole.as_dict() | {"predicted_device_bytes": self.cost.device}
         return {**whole, "windows": self.count, "window_side": self.side}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         count = count_of(self.count, "window")
         text = f"{count} of {self.side} voxels a side, one after the other"
         return [*self.whole.rows(), ("windows", text)]

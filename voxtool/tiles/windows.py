@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -20,7 +20,7 @@ from voxtool.arrays import digest_of
 from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.files.windows import Key, Window, Windows
 from voxtool.grid import FIXED_POINT_BITS, Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.subset import mesh_of
 from voxtool.morton import morton_decode
@@ -58,7 +58,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class WindowsPlan:
+class WindowsPlan(Plan):
     """The windows of a voxelization."""
 
     whole: Any  # the plan of the job in one piece
@@ -76,24 +76,18 @@ class WindowsPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         return list(dict.fromkeys(stage for plan in self.plans for stage in plan.stages))
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         return self.whole.left_out
 
     @property
     def cost(self) -> Cost:
         """The predicted bytes of the largest window, and of the states of all nodes."""
-        costs = [plan.cost for plan in self.plans]
+        cost = Cost.most(plan.cost for plan in self.plans)
         states = sum(plan.nodes - plan.bricks for plan in self.plans)
-        return Cost(
-            device=max((cost.device for cost in costs), default=0),
-            host=max((cost.host for cost in costs), default=0) + 2 * states,
-            largest=max((cost.largest for cost in costs), default=0),
-        )
+        return replace(cost, host=cost.host + 2 * states)
 
     @property
     def nodes(self) -> int:
@@ -106,21 +100,23 @@ class WindowsPlan:
         return sum(stored_bytes(plan) for plan in self.plans)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
         facts = {"windows": self.count, "predicted_disk_bytes": self.disk}
         costs = {"predicted_device_bytes": self.cost.device}
         return {**self.whole.as_dict(), **facts, **costs}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         sides = sorted({part.key[3] for part in self.root.windows()})
         wide = f"of {' to '.join(str(side) for side in sorted({sides[0], sides[-1]}))} voxels"
         count = count_of(self.count, "window")
         return [
-            *(row for row in self.whole.rows() if row[0] not in ("octree", "work")),
+            *self._rows_of_whole(),
             ("windows", f"{count} {wide} a side, one after the other"),
-            ("disk", f"about {human(self.disk)}, of the file and of windows that wait for it"),
+            disk_row(self.disk),
         ]
+
+    def _rows_of_whole(self) -> list[tuple[str, str]]:
+        """Return the rows of the job in one piece that hold for its windows, too."""
+        return [row for row in self.whole.rows() if row[0] not in ("octree", "work")]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the octree has too many nodes; every window fits."""
@@ -129,6 +125,11 @@ class WindowsPlan:
                 f"an octree of about {self.nodes:,} nodes exceeds links of 30 bits: choose a "
                 "smaller dim, or store equal subtrees once (--dag)"
             )
+
+
+def disk_row(size: int) -> tuple[str, str]:
+    """Return the name and the text of the row that `--plan` prints of the disk."""
+    return "disk", f"about {human(size)}, of the file and of windows that wait for it"
 
 
 class WindowsJob(Job[BlockOctree]):

@@ -9,7 +9,7 @@ from typing import Any
 from voxtool.adf.field import DistanceField
 from voxtool.camera import Camera
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.rendering import Content, camera_for, scene_of
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
@@ -29,9 +29,13 @@ CONTENTS: dict[type, Callable[[Any], PageContent]] = {
 
 
 @dataclass(frozen=True)
-class ViewPlan:
+class ViewPlan(Plan):
     """The plan of a page: what it shows, the name of the file, the camera at the start, and whether
     the data are served beside the page instead of in it."""
+
+    stages = ("compress data",)
+    facts = ("kind: content.kind",)
+    costs = ("host",)
 
     content: PageContent
     name: str
@@ -39,30 +43,24 @@ class ViewPlan:
     served: bool = False
 
     @property
-    def stages(self) -> tuple[str, ...]:
-        return ("compress data",)
-
-    @property
-    def left_out(self) -> dict[str, str]:
-        out = {"scripts and shaders of other kinds": f"the page shows one {self.content.kind}"}
-        if self.served:
-            out["data in the page"] = "they are served beside it"
-        return out
+    def reasons(self) -> dict[str, str]:
+        return {
+            "scripts and shaders of other kinds": f"the page shows one {self.content.kind}",
+            "data in the page": "they are served beside it" if self.served else "",
+        }
 
     @property
     def cost(self) -> Cost:
         """On the host the arrays, compressed, as base64, and in the page."""
         return Cost(0, host=5 * self.content.nbytes)
 
-    def as_dict(self) -> dict[str, Any]:
+    def decisions(self) -> dict[str, Any]:
+        content = self.content
         return {
-            "kind": self.content.kind,
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "arrays": {name: list(array.shape) for name, array in self.content.arrays.items()},
-            "data_bytes": self.content.nbytes,
+            **super().decisions(),
+            "arrays": {name: list(array.shape) for name, array in content.arrays.items()},
+            "data_bytes": content.nbytes,
             "served": self.served,
-            "predicted_host_bytes": self.cost.host,
         }
 
     def rows(self) -> list[tuple[str, str]]:
@@ -74,12 +72,9 @@ class ViewPlan:
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        if self.cost.host > max_memory:
-            raise MemoryLimitError(
-                f"the page would need {human(self.cost.host)} of memory, of {human(max_memory)} "
-                f"allowed: {self.content.smaller_by(max_memory / self.cost.host)} "
-                "(see --max-memory)"
-            )
+        if shortage := self.cost.shortage(max_memory, max_allocation):
+            smaller = self.content.smaller_by(max_memory / self.cost.host)
+            raise MemoryLimitError(f"the page {shortage}: {smaller} (see --max-memory)")
         if not self.served and self.content.nbytes > MOST_DATA:
             raise MemoryLimitError(
                 f"{human(self.content.nbytes)} of data are more than a page holds, "

@@ -22,8 +22,8 @@ from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.adf.surface.leaves import COORDINATE_BITS, Leaves, vertices_near
 from voxtool.adf.surface.placing import CLEAR, MARGIN, place_crossings, place_loops
 from voxtool.adf.surface.sharp import Features, apart, nearest_planes, place_features
-from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
-from voxtool.job import Cost, Job, one_call
+from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
+from voxtool.job import Cost, Job, Plan, one_call
 from voxtool.mesh.lengths import in_units
 from voxtool.mesh.mesh import Mesh, check_source
 from voxtool.morton import distinct
@@ -39,13 +39,16 @@ SHARP_BYTES, SHARP_DEVICE_BYTES = 1200, 500  # of a leaf that is crossed, beside
 
 
 @dataclass(frozen=True)
-class FieldSurfacePlan:
+class FieldSurfacePlan(Plan):
     """The decisions of an extraction.
 
     offsets : distances of its surfaces, in sides: one, or the two of a shell, the outer one first.
     leaves, crossed : the leaves of the field, and at most how many its surfaces cross.
     source_faces : those of the source whose edges and corners are kept; 0 without one.
     """
+
+    facts = ("offset", "shell", "sharp", "leaves", "leaves_crossed: crossed")
+    costs = ("device", "host")
 
     offset: float
     shell: float | None
@@ -56,16 +59,20 @@ class FieldSurfacePlan:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages that will run, in order."""
         return (*STAGES, *SHARP_STAGES) if self.source_faces else STAGES
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not run, each with the reason."""
-        out = {"leaves away from the surface": "their corners are all inside, or all outside"}
-        if not self.source_faces:
-            out["edges and corners"] = "they are rounded off within a leaf: no source is given"
-        return out
+    def sharp(self) -> bool:
+        """True if edges and corners are kept."""
+        return self.source_faces > 0
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        rounded = "they are rounded off within a leaf: no source is given"
+        return {
+            "leaves away from the surface": "their corners are all inside, or all outside",
+            "edges and corners": "" if self.sharp else rounded,
+        }
 
     @property
     def cost(self) -> Cost:
@@ -76,22 +83,7 @@ class FieldSurfacePlan:
             device = tree_bytes(self.source_faces) + SHARP_DEVICE_BYTES * self.crossed
         return Cost(device, host=host)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            "offset": self.offset,
-            "shell": self.shell,
-            "sharp": self.source_faces > 0,
-            "leaves": self.leaves,
-            "leaves_crossed": self.crossed,
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_device_bytes": self.cost.device,
-            "predicted_host_bytes": self.cost.host,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         wall = "" if self.shell is None else f", a wall of {self.shell:g} inward"
         return [
             ("surface", f"at distance {self.offset:g}{wall}"),
@@ -99,12 +91,10 @@ class FieldSurfacePlan:
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the extraction needs more bytes."""
-        if self.cost.host > max_memory:
+        if shortage := Cost(0, self.cost.host).shortage(max_memory, max_allocation):
             raise MemoryLimitError(
-                f"the surface would need {human(self.cost.host)} of memory, of {human(max_memory)} "
-                "allowed: build the field with a lower --max-level, or allow more (see "
-                "--max-memory)"
+                f"the surface {shortage}: build the field with a lower --max-level, or allow more "
+                "(see --max-memory)"
             )
 
 

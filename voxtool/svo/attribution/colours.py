@@ -27,7 +27,7 @@ import numpy as np
 
 from voxtool.choices import ATTRIBUTES, COLOURS
 from voxtool.errors import MemoryLimitError, VoxtoolError
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
@@ -70,8 +70,11 @@ EXPOSED = "exposed voxels"  # a stage
 
 
 @dataclass(frozen=True)
-class AttributePlan:
+class AttributePlan(Plan):
     """The decisions on how colours and normals are found."""
+
+    facts = ()
+    predicted = ("values",)
 
     octree: Any  # the plan of the octree
     surface: VoxelizePlan  # of its surface
@@ -85,7 +88,6 @@ class AttributePlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         own = [] if self.shared else ["surface"]
         return [*self.octree.stages, *own, "attributes", *[EXPOSED] * self.exposed]
 
@@ -118,7 +120,6 @@ class AttributePlan:
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
         of = {"colour": COLOUR_BYTES, "normal": NORMAL_BYTES, "area": AREA_BYTES}
         each = AREA_BYTES + INDEX_BYTES + sum(of[name] for name in self.names)
         inner, surface = self.octree.cost, self.surface.cost
@@ -135,31 +136,20 @@ class AttributePlan:
         )
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """Stages and data that the scene does not need, each with the reason."""
-        out = dict(self.octree.left_out)
-        if "colour" in self.names and not self.texels:
-            out["textures"] = "no material has one"
-        if "colour" not in self.names:
-            out["colours"] = f"{' and '.join(self.names)} alone were asked for"
-        if self.shared:
-            out["a second scan of the surface"] = "the octree is the surface"
-        if not self.exposed:
-            surface = "solid" not in self.octree.mode
-            why = "the surface meets every voxel" if surface else "areas are where the surface is"
-            out["values of exposed voxels"] = why
-        return out
+    def reasons(self) -> dict[str, str]:
+        coloured, solid = "colour" in self.names, "solid" in self.octree.mode
+        alone = f"{' and '.join(self.names)} alone were asked for"
+        why = "areas are where the surface is" if solid else "the surface meets every voxel"
+        return {
+            **self.octree.left_out,
+            "textures": "no material has one" if coloured and not self.texels else "",
+            "colours": "" if coloured else alone,
+            "a second scan of the surface": "the octree is the surface" if self.shared else "",
+            "values of exposed voxels": "" if self.exposed else why,
+        }
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
-        return {
-            **self.octree.as_dict(),
-            **self.described(),
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_values": self.values,
-            "predicted_device_bytes": self.cost.device,
-        }
+        return {**self.octree.as_dict(), **self.described(), **super().as_dict()}
 
     def described(self) -> dict[str, Any]:
         """The part of the plan that is stored with the octree, in JSON types."""
@@ -168,7 +158,6 @@ class AttributePlan:
         return {"attributes": list(self.names), **colour, **counts}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts, which `--plan` prints before the stages."""
         text = ", ".join(self.names)
         if "colour" in self.names:
             rule = "of the greatest part" if self.nearest else "means by area"
@@ -179,7 +168,6 @@ class AttributePlan:
         return rows
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the job needs more bytes than these."""
         self.octree.refuse_beyond(max_memory, max_allocation)
         if shortage := self.cost.shortage(max_memory, max_allocation):
             raise MemoryLimitError(

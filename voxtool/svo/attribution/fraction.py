@@ -34,7 +34,7 @@ import numpy as np
 from voxtool.choices import FILLS, FRACTION_TYPES
 from voxtool.errors import MeshError, VoxtoolError, count_of
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import volume
 from voxtool.opencl import Array, Device
@@ -133,8 +133,11 @@ class Volumes(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FractionPlan:
+class FractionPlan(Plan):
     """The decisions of an octree with fractions: those of its solid, and the type of values."""
+
+    facts = ("fraction_type: kind", "face_fractions: faces", f"{LATTICE_BITS}: solid.bits")
+    predicted = ("touched_voxels: touched",)
 
     solid: VoxelizePlan
     kind: str
@@ -144,18 +147,16 @@ class FractionPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         return [*self.solid.stages, "touched voxels", "parts", "sums along rows", "fractions"]
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
-        left = {**self.solid.left_out}
-        left.pop("surface voxels", None)
-        left["values of whole voxels"] = "only cut voxels store one"
-        if not self.faces:
-            left["faces of voxels"] = "no shares of theirs are asked for"
-        return left
+    def reasons(self) -> dict[str, str]:
+        return {
+            **self.solid.left_out,
+            "surface voxels": "",
+            "values of whole voxels": "only cut voxels store one",
+            "faces of voxels": "" if self.faces else "no shares of theirs are asked for",
+        }
 
     @property
     def nodes(self) -> int:
@@ -198,17 +199,7 @@ class FractionPlan:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
-        return {
-            **self.solid.as_dict(),
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "fraction_type": self.kind,
-            "face_fractions": self.faces,
-            LATTICE_BITS: self.solid.bits,
-            "predicted_touched_voxels": self.touched,
-            "predicted_device_bytes": self.cost.device,
-        }
+        return {**self.solid.as_dict(), **super().as_dict()}
 
     def scene(self) -> dict[str, Any]:
         """The part of the plan that is stored in the octree, in JSON types."""
@@ -216,7 +207,6 @@ class FractionPlan:
         return {**self.solid.scene(), **own}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         what = "of voxels and their faces, " * self.faces
         fractions = f"{what}of type {self.kind}, about {self.touched:,} voxels that triangles touch"
         caps = [("caps", self.closing)] if self.caps[1] else []
@@ -230,8 +220,6 @@ class FractionPlan:
         return f"{count_of(holes, 'hole')} closed by {count_of(caps, 'cap triangle')}"
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the job needs more bytes than these, in total or in one
-        buffer; the message says which dim would fit."""
         self.solid.refuse_beyond(
             max_memory, max_allocation, lambda solid: replace(self, solid=solid).cost
         )

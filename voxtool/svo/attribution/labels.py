@@ -21,7 +21,7 @@ import numpy as np
 from voxtool.choices import MODES
 from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError, count_of
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
@@ -42,7 +42,7 @@ SHARED_BYTES = 64  # of the union on device and host, a brick, beside its values
 
 
 @dataclass(frozen=True)
-class PartLabelsPlan:
+class PartLabelsPlan(Plan):
     """The plan of a voxelization with labels.
 
     mode : of the octree
@@ -53,6 +53,9 @@ class PartLabelsPlan:
     side : voxels along a side of the grid in which the first ones lie
     inner : plans of the voxelizations
     """
+
+    facts = ("mode", "labels", "dtype", "together", "side", "alone")
+    costs = ("device", "host")
 
     mode: str
     names: tuple[str, ...]
@@ -73,19 +76,22 @@ class PartLabelsPlan:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages that will run, in order."""
         own = [stage for plan in self.inner for stage in plan.stages]
         return (*dict.fromkeys(own), UNITE, *(AREAS,) * self.surface)
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """Stages and data that the scene does not need, each with the reason."""
-        out = {}
-        if not self.alone:
-            out["a voxelization for each part"] = "all are closed: they lie side by side in one"
-        if not self.surface:
-            out["areas of triangles in voxels"] = "parts that fill a voxel go by priority"
-        return out
+    def labels(self) -> int:
+        """Number of labels."""
+        return len(self.names)
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        together = "all are closed: they lie side by side in one"
+        areas = "parts that fill a voxel go by priority"
+        return {
+            "a voxelization for each part": "" if self.alone else together,
+            "areas of triangles in voxels": "" if self.surface else areas,
+        }
 
     @property
     def nodes(self) -> int:
@@ -104,37 +110,27 @@ class PartLabelsPlan:
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
         bricks = self.bricks
         values = 64 * np.dtype(self.dtype).itemsize + SHARED_BYTES
         host = sum(plan.cost.host for plan in self.inner) + values * bricks
-        device = max([plan.cost.device for plan in self.inner], default=0)
-        largest = max([plan.cost.largest for plan in self.inner], default=0)
-        return Cost(max(device, values * bricks), host, max(largest, values * bricks // 2))
+        most = Cost.most(plan.cost for plan in self.inner)
+        return Cost(
+            max(most.device, values * bricks), host, max(most.largest, values * bricks // 2)
+        )
 
     def scene(self) -> dict[str, Any]:
         """The part of the plan that is stored with the octree, in JSON types."""
         more = {CONNECTED: True} if self.connects else {}
         return {"labels": len(self.names), **more, "stages": list(self.stages)}
 
+    def decisions(self) -> dict[str, Any]:
+        alone = [{"part": self.names[part], "reason": why} for part, why in self.alone]
+        return {**super().decisions(), "alone": alone}
+
     def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            "mode": self.mode,
-            "labels": len(self.names),
-            "dtype": self.dtype,
-            "together": self.together,
-            "side": self.side,
-            "alone": [{"part": self.names[part], "reason": why} for part, why in self.alone],
-            "stages": list(self.stages),
-            "left_out": self.left_out,
-            "predicted_device_bytes": self.cost.device,
-            "predicted_host_bytes": self.cost.host,
-            "voxelizations": [plan.as_dict() for plan in self.inner],
-        }
+        return {**super().as_dict(), "voxelizations": [plan.as_dict() for plan in self.inner]}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         rows = [("labels", f"{count_of(len(self.names), 'name')}, {self.dtype}")]
         if self.together:
             where = f"at once, in a grid of {self.side:,} voxels a side"

@@ -58,25 +58,20 @@ class PartFractionsPlan(PartLabelsPlan):
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes."""
         cost, bricks = super().cost, sum(plan.bricks for plan in self.inner)
         return replace(cost, host=cost.host + SHARE_BYTES * bricks)
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """Stages and data that the scene does not need, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         return {"values of whole voxels": "only cut voxels store a fraction"}
 
     def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
         return {**super().as_dict(), "fraction_type": self.kind, LATTICE_BITS: self.bits}
 
     def scene(self) -> dict[str, Any]:
-        """The part of the plan that is stored with the octree, in JSON types."""
         return {**super().scene(), LATTICE_BITS: self.bits}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         return [*super().rows(), ("fractions", f"of type {self.kind}"), lattice_row(self.bits)]
 
 

@@ -19,9 +19,9 @@ import numpy as np
 
 from voxtool.arrays import Data, digest_of, read_only
 from voxtool.choices import BY, LABEL, LABEL_STYLES, STYLE_ALIASES, SURFACE_NETS, VOXEL_FACES
-from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import closed_chain
 from voxtool.opencl import Device
@@ -160,8 +160,16 @@ class LabelledSurface(Data):
 
 
 @dataclass(frozen=True)
-class LabelledPlan:
+class LabelledPlan(Plan):
     """The decisions of an extraction by label."""
+
+    by = LABEL
+    facts = ("style", "by", "labels", "bricks")
+    predicted, costs = ("faces",), ("host",)
+    refusal = (
+        "{plan.style} of {plan.faces:,} faces between labels {shortage}: voxelize with a smaller "
+        "dim, or allow more (see --max-memory)"
+    )
 
     style: str
     labels: int  # names
@@ -173,20 +181,18 @@ class LabelledPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         relax = ["relax"] if self.relaxations else []
         return ["labels", "borders", "vertices", *relax, "triangles", *["colours"] * self.colours]
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that do not run, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         device = "the device, but for nearest colours" if self.colours else "the device"
-        out = {device: "faces between labels are few, and are found brick by brick"}
-        if not self.relaxations:
-            out["relaxation"] = "voxel faces lie on the corners of voxels"
-        if self.coloured and not self.colours:
-            out["colours"] = "the meshes are written without"
-        return out
+        without = self.coloured and not self.colours
+        return {
+            device: "faces between labels are few, and are found brick by brick",
+            "relaxation": "" if self.relaxations else "voxel faces lie on the corners of voxels",
+            "colours": "the meshes are written without" if without else "",
+        }
 
     @property
     def cost(self) -> Cost:
@@ -196,40 +202,19 @@ class LabelledPlan:
         parts = PART_BYTES * min(self.bricks, AT_ONCE)
         return Cost(device=0, host=values + FACE_BYTES * self.faces + parts)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            "style": self.style,
-            "by": LABEL,
-            "labels": self.labels,
-            "bricks": self.bricks,
-            "stages": self.stages,
-            "left_out": self.left_out,
-            "predicted_faces": self.faces,
-            "predicted_host_bytes": self.cost.host,
-        }
-
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         return [
             ("surfaces", f"{self.style}, of up to {self.labels:,} labels"),
             ("faces", f"about {self.faces:,} between labels, in {self.bricks:,} bricks"),
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the extraction needs more bytes than these, or has more faces
-        than 32 bits number."""
         if self.faces > MAX_FACES:
             raise MemoryLimitError(
                 f"{self.faces:,} faces between labels exceed the {MAX_FACES:,} that are numbered: "
                 "voxelize with a smaller dim"
             )
-        if self.cost.host > max_memory:
-            raise MemoryLimitError(
-                f"{self.style} of {self.faces:,} faces between labels would need "
-                f"{human(self.cost.host)} of memory, of {human(max_memory)} allowed: voxelize with "
-                "a smaller dim, or allow more (see --max-memory)"
-            )
+        super().refuse_beyond(max_memory, max_allocation)
 
 
 def plan_labelled(

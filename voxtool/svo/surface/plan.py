@@ -8,7 +8,7 @@ from typing import Any
 
 from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import MemoryLimitError
-from voxtool.job import Cost
+from voxtool.job import Cost, Plan
 from voxtool.opencl.histopyramid import pyramid_bytes
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.svo.layout import BRICK_BYTES
@@ -32,8 +32,11 @@ RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 
 @dataclass(frozen=True)
-class ExtractionPlan:
+class ExtractionPlan(Plan):
     """The decisions of an extraction."""
+
+    facts = ("style", "level", "samples_along_side: samples")
+    predicted = ("tiles: visited", "cut_cubes: cubes")
 
     style: str
     level: int | str
@@ -67,7 +70,6 @@ class ExtractionPlan:
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order."""
         stages = {
             "tiles": True,
             "samples": True,
@@ -165,8 +167,7 @@ class ExtractionPlan:
         )
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The parts that are not compiled, allocated or run, each with the reason."""
+    def reasons(self) -> dict[str, str]:
         out = {}
         if not self.naive:
             out["cubes away from nodes"] = "a set of tiles holds those that the surface may cross"
@@ -194,22 +195,11 @@ class ExtractionPlan:
             out["colours"] = self.colourless or "the mesh is written without"
         return out
 
-    def as_dict(self) -> dict[str, Any]:
-        """The whole plan in JSON types."""
-        return {
-            "style": self.style,
-            "level": self.level,
-            "samples_along_side": self.samples,
-            "stages": self.stages,
-            "left_out": self.left_out,
-            **({} if self.adaptive is None else {"adaptive_tolerance": self.adaptive}),
-            "predicted_tiles": self.visited,
-            "predicted_cut_cubes": self.cubes,
-            "predicted_device_bytes": self.cost.device,
-        }
+    def decisions(self) -> dict[str, Any]:
+        adaptive = {} if self.adaptive is None else {"adaptive_tolerance": self.adaptive}
+        return {**super().decisions(), **adaptive}
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and texts that `--plan` prints before the stages."""
         samples = "fractions" if self.fractions else "samples"
         surface = f"{self.style}, level {self.level}: {self.samples} {samples} along the root"
         cubes = f"about {self.cubes:,}, in {self.visited:,} tiles"
