@@ -142,7 +142,7 @@ class RenderJob(Job[np.ndarray]):
         return averaged(self.plan.scene.draw(self.rays, self.device), self.plan.samples)
 
     def findings(self, result: np.ndarray) -> Iterator[str]:
-        """Why nothing is visible, if nothing is."""
+        """Yield why nothing is visible, if nothing is."""
         most, scene = float(result[..., 3].max()), self.plan.scene
         if most >= VISIBLE:
             return

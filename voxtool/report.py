@@ -70,13 +70,14 @@ class Report:
     Attributes
     ----------
     mesh, units, source_sha256 : str
-        Of the mesh.
+        Name, units and digest of the mesh.
     diagnosis : SurfaceCheck
         The counts of edges, faces, vertices and shells.
     low, high : list of float
         Corners of the bounding box.
     dim, pitch : int, float
-        Of the grid on which the fill rules are compared.
+        Voxels along the longest side, and size of a voxel, of the grid on which the fill rules are
+        compared.
     loops : list of dict
         Every boundary loop, the longest first: edges, length, centre, size of its box, closed.
     t_junctions : bool

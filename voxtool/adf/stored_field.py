@@ -51,7 +51,7 @@ class StoredField:
 
     @cached_property
     def identifiers(self) -> np.ndarray:
-        """(m, m, m) uint32 or uint64: of the cell in each slot; 0 where it is free."""
+        """(m, m, m) uint32 or uint64: the identifier of the cell in each slot, 0 in a free one."""
         return identifiers_in(self.cells)
 
     @cached_property

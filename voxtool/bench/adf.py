@@ -156,7 +156,7 @@ def sphere_keys(last: int) -> np.ndarray:
 class _Exact:
     """Exact distances at points of one kind.
 
-    places : (n, 3) float64, world points; distances : (n,) float64; side : of the cube.
+    places : (n, 3) float64, world points; distances : (n,) float64; side : the cube's.
     points : the measurements of exact distances and of other tools, in this order.
     """
 

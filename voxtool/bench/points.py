@@ -81,7 +81,8 @@ class Point:
     absent : why a measure is missing, by its name.
     stages : seconds of each stage on the device, by its events.
     left_out : the parts that the plan left out, and why.
-    bytes : of the result; peak : of resident memory, of the whole command in its own process.
+    bytes : size of the result.
+    peak : bytes of resident memory of the whole command, in a process of its own.
     peer : True for another tool; its errors are by the same measure.
     """
 
@@ -139,8 +140,8 @@ class Ablation:
     what, why : the part that the plan left out, and its reason.
     runs, forced : seconds of each repeat as planned, and with the decision forced, in turns.
     same : True if the results are the same, bit for bit.
-    saved_bytes : of the device's memory, as the plans predict, or of a field, that leaving it out
-        saves.
+    saved_bytes : bytes that leaving it out saves: device memory, as the plans predict, or of a
+        field.
     """
 
     bench: str
@@ -229,7 +230,7 @@ def cost_lines(points: Sequence[Point]) -> dict[str, list[tuple[float, float]]]:
 
 
 def exponents(points: Sequence[Point]) -> dict[str, tuple[float, float, float]]:
-    """By method: p of seconds ~ size**p, and the least and largest size of the fit."""
+    """Return, for each method, p of seconds ~ size**p and the least and largest size of the fit."""
     return {
         method: (p, line[0][0], line[-1][0])
         for method, line in cost_lines(points).items()

@@ -149,7 +149,7 @@ def _from_vtk(array: Any) -> np.ndarray:
 
 
 def distance_errors(found: np.ndarray, exact: np.ndarray, side: float) -> dict[str, float]:
-    """The errors of distances, in sides of the cube; "p99" is the 99th percentile."""
+    """Return the errors of distances, as shares of the cube's side; "p99" is a percentile."""
     errors = np.abs(found - exact) / side
     p99 = float(np.quantile(errors, 0.99, method="inverted_cdf"))
     return {"rms": _rms(errors), "p99": p99, "max": float(errors.max())}
@@ -158,8 +158,8 @@ def distance_errors(found: np.ndarray, exact: np.ndarray, side: float) -> dict[s
 def distances_compared(
     found: np.ndarray, exact: np.ndarray, side: float
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """The errors of distances, and two figures of their signs: the largest error without the sign,
-    in sides of the cube, and the number of points whose sign differs."""
+    """Return the errors of distances, and two figures of their signs: the largest error without the
+    sign, as a share of the cube's side, and the number of points whose sign differs."""
     unsigned = np.abs(np.abs(found) - np.abs(exact)) / side
     signs = {
         "max unsigned": float(unsigned.max()),
@@ -182,7 +182,7 @@ class ReferencePicture:
 
     Attributes
     ----------
-    rays : of the picture.
+    rays : those of the picture.
     pixels : (N, 2) int, column and row; expected : (N, 4) float64, their premultiplied RGBA.
     """
 

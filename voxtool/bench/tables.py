@@ -83,7 +83,7 @@ def tables_of(points: Sequence[Point]) -> list[Table]:
 
 
 def absent_of(points: Sequence[Point]) -> list[str]:
-    """Why measures are missing in a chart, each reason once."""
+    """Return the reasons why measures are missing in a chart, each once."""
     reasons: dict[str, tuple[dict[str, None], dict[str, None]]] = {}
     for point in points:
         for measure, why in point.absent.items():

@@ -1,4 +1,4 @@
-"""What the texts name beside their own structures: the classic octree of pointers with eight
+"""Peers that the texts name beside their own structures: the classic octree of pointers with eight
 samples a cell, the hash of vertices that [ADF] ascribes to Bærentzen, hashing with probes, samples
 that cousins share, and Morton codes decoded by table.
 

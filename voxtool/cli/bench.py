@@ -199,9 +199,9 @@ COMMANDS = {
     """,
     "fractions": """Measure how much of each voxel of MODELS lies inside: fractions and sampling.
 
-    Fractions of each type, and of faces, 1,000 points a voxel up to dim 64, and the binary solid:
-    the error of cut voxels against float32 fractions, and that of the volume against the mesh's,
-    exactly.
+    Compare fractions of each type, fractions of faces, 1,000 points a voxel up to dim 64, and the
+    binary solid: the error of cut voxels is against float32 fractions, and that of the volume
+    against the mesh's, exactly.
 
     \b
     Examples:
@@ -210,8 +210,9 @@ COMMANDS = {
     """,
     "attributes": """Measure octrees with labels, normals and colours, beside those without.
 
-    Of labels of shells an error is a voxel without that of the first shell that sets it, each
-    voxelized alone; of normals and colours an octree that sets other voxels: there must be none.
+    With labels of shells, an error is a voxel without the label of the first shell that sets it,
+    each voxelized alone. With normals and colours, it is an octree that sets other voxels. There
+    must be none.
 
     \b
     Examples:

@@ -68,7 +68,7 @@ def _write_attribute(h5: Any, attribute: Attribute, value: Any) -> None:
 
 
 def read(schemas: Iterable[Schema], file: BinaryIO, size: int) -> Any:
-    """The content of a file of `size` bytes, whose format is one of the schemas.
+    """Return the content of a file of `size` bytes, whose format is one of the schemas.
 
     Raises
     ------
@@ -85,7 +85,8 @@ def _in_memory(schema: Schema, stored: dict[str, Any], found: dict[str, Any]) ->
 
 
 def read_slices(schemas: Iterable[Schema], file: BinaryIO, size: int) -> Any:
-    """The same content; the datasets of a sliced schema are Slices of the file while it is open."""
+    """Return the content of a file as `read` does, but the datasets of a sliced schema are Slices
+    of the file, while it is open."""
     with _one_line():
         schema, stored, found = _content(opened(file), schemas, size)
         if not schema.sliced:

@@ -129,7 +129,7 @@ def as_mesh(thing: Any, max_memory: int | None = None, keep: Sequence[str] = ())
     """Return a Mesh of a Mesh, of a path, of an object with `vertices` and `faces` such as a
     trimesh.Trimesh, or of a pair of arrays, (V, 3) and (F, 3); MeshError for anything else.
 
-    Of a path, what is in `keep` is read, too.
+    A path is read with what is in `keep`.
     """
     if isinstance(thing, Mesh):
         return thing

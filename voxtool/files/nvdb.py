@@ -137,13 +137,13 @@ def write_grids(contents: list[Content], file: BinaryIO) -> None:
 
 
 class Layout(NamedTuple):
-    """Where the nodes of a grid lie."""
+    """The layout of a grid: where its nodes lie."""
 
     lower: np.ndarray  # places of the lower and the upper nodes, and what the root lists
     upper: np.ndarray
     roots: np.ndarray
     counts: tuple[int, int, int]  # leaves, lower and upper nodes
-    first: tuple[int, int, int]  # of each, bytes from the start of the tree
+    first: tuple[int, int, int]  # where each of these begins, bytes from the start of the tree
     total: int  # bytes of the grid
 
     @classmethod

@@ -121,8 +121,8 @@ class Dataset:
     Attributes
     ----------
     name : in the file.
-    dtype : of the numbers, such as "<f4", or a function of the sizes.
-    shape : of each side a number, the numbers that are allowed, the name of a size, or a function
+    dtype : type of the numbers, such as "<f4", or a function of the sizes.
+    shape : for each side a number, the numbers that are allowed, the name of a size, or a function
         of the sizes. A name that no attribute and no dataset before this one has is free, and
         names the side from here on.
     at : path of the array in the content; by default the name.

@@ -43,7 +43,7 @@ class VolumeCells:
 
     @property
     def text(self) -> str:
-        """The same for people."""
+        """The counts of the export in words."""
         volume = self.source
         return f"{len(volume.cells):,} {volume.noun}, {len(volume.vertices):,} points"
 

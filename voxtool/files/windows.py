@@ -138,7 +138,7 @@ class Store:
             yield self._checked(key, name, BRICK)
 
     def take(self, key: Key) -> Iterator[np.ndarray]:
-        """Yield the same; each block is then removed from the disk."""
+        """Yield the bricks of a window in blocks, and remove each block from the disk after it."""
         for name in self._blocks(key):
             yield self._checked(key, name, BRICK)
             self._path(key, name).unlink(missing_ok=True)

@@ -79,7 +79,7 @@ class RepairPlan:
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes: of the stage that needs most."""
+        """The predicted bytes of the stage that needs most."""
         n, voxels = self.vertices, self.voxels.cost
         net = BRICK_BYTES * self.voxels.bricks + 2 * TILE_BYTES * self.voxels.bricks
         net += EDGE_BYTES[STYLE] * n

@@ -81,7 +81,7 @@ def nodes_of(facts: dict, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np
 
 
 def _nodes(octree: Octree) -> tuple[np.ndarray, np.ndarray]:
-    """The same of an octree itself."""
+    """Return the keys and the masks of an octree itself, as `nodes_of` does of its page."""
     *above, last = octree.levels()
     full = octree.bricks != 0
     keys = [_keys(level.number, level.codes[level.inside]) for level in above]

@@ -69,7 +69,7 @@ def wrong_by_oracles(
 ) -> int:
     """The number of voxels that differ from the oracles in any mode.
 
-    triangles : of the mesh, in 1/256 voxel from the grid's or the window's low corner.
+    triangles : those of the mesh, in 1/256 voxel from the low corner of the grid or the window.
     """
     shape = window[1] if window else grid.shape
     return sum(
@@ -79,7 +79,8 @@ def wrong_by_oracles(
 
 
 def wrong_on_lattice(device: Device, vertices: np.ndarray, faces: np.ndarray) -> int:
-    """The same for a mesh of vertices in 1/256 voxel, in a small grid."""
+    """Return the number of voxels that differ from the oracles, for a mesh of vertices in 1/256
+    voxel in a small grid."""
     mesh = lattice_mesh(vertices, faces)
     return wrong_by_oracles(device, mesh, lattice_grid(*SMALL), vertices[faces])
 

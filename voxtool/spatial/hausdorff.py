@@ -315,8 +315,9 @@ def _nearest(to: TriangleDistance, points: np.ndarray) -> tuple[np.ndarray, np.n
 def _cut(
     to: TriangleDistance, pieces: np.ndarray, slots: np.ndarray, reach: float, slack: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return what is left of (n, 3, 3) pieces; of each piece the number of these, upper bounds of
-    its distances; and one of the distances of the rest."""
+    """Return what is left of (n, 3, 3) pieces when the parts within reach are cut away, the number
+    of triangles left of each piece, upper bounds of the distances of each piece, and an upper bound
+    of the distances of all that was cut away."""
     device, covered = to.device, 0.0
     left: list[np.ndarray] = []
     numbers: list[np.ndarray] = []

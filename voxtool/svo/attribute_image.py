@@ -229,7 +229,7 @@ class AttributeImage:
             )
 
     def parts(self, axis: int = 0, least: int = THICK) -> Iterator[AttributeImage]:
-        """Yield the same of the parts of the image, of which no other attributes are read."""
+        """Yield the attribute of each part of the image; other attributes are not read."""
         for part in replace(self.image, attributes=(self.name,)).parts(axis, least):
             yield replace(self, image=part)
 
@@ -282,7 +282,7 @@ def tally_bytes(level: int, bricks: int) -> int:
 def listed_with(
     image: VoxelImage, names: Sequence[str]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, list[np.ndarray]]]:
-    """Yield what `image.listed()` does, with the values of attributes of the same cells."""
+    """Yield the pieces of `image.listed()`, each with the values of attributes of its cells."""
     for part in image.parts():
         more = [AttributeImage(part, name).listed() for name in names]
         for (cells, values), *others in zip(part.listed(), *more, strict=True):

@@ -118,7 +118,7 @@ class VoxelImage:
         dtype : dtype, optional
             One of DTYPES; by default bool for voxels and with an isovalue, otherwise float32.
         isovalue : float, optional
-            Of cells above voxels: the least share of a cell that is set; by default a half.
+            The least share of a cell above voxels that is set; by default a half.
 
         Raises
         ------

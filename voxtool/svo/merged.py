@@ -59,8 +59,8 @@ class MergedOctree(PointQueries, Data, OctreeContent):
         Index of the first distinct subtree of each level above the bricks, root first, and their
         number. The root of a subtree is a refined node.
     masks : (R,) uint16
-        Of each subtree, bit c if child c is refined, or is a brick that is neither empty nor full;
-        and bit 8 + c if all voxels of child c are set.
+        Flags of each subtree: bit c if child c is refined, or is a brick that is neither empty nor
+        full; bit 8 + c if all voxels of child c are set.
     links : (K,) uint32
         The subtrees of the children with bits 0 to 7, one after the other: indices from the start
         of the level below, or of `leaves`.

@@ -84,9 +84,11 @@ def prune_levels(
 
 
 def states_by_level(codes: np.ndarray, full: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the states of all nodes, by level from level 1 up: of the octree of refined level-1
-    nodes, given by their ascending codes, and of FULL leaves, given by their codes, for each level
-    up to the root's."""
+    """Return the states of all nodes of an octree, by level from level 1 up.
+
+    codes : ascending codes of the refined level-1 nodes; full : codes of the FULL leaves, for each
+    level up to the root's.
+    """
     lists, states = [codes], []
     for leaves in full[:-1]:
         lists.append(distinct(np.concatenate([lists[-1], leaves]) >> np.uint64(3)))

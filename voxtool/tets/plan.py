@@ -23,8 +23,8 @@ class VolumePlan:
     """The plan of a volume.
 
     layout, merge_distance : as asked.
-    cells : of the mesh, by kind; ignored : cells that are no volumes, by kind.
-    points : of the mesh; constant : whether each cell has one scalar.
+    cells : the mesh's, by kind; ignored : cells that are no volumes, by kind.
+    points : the mesh's; constant : whether each cell has one scalar.
     max_pairs : pairs of points, compared for merging, beyond which the work is refused.
     max_texture : texels along an axis of a 2-D texture, beyond which it is refused.
     """

@@ -384,8 +384,8 @@ def _percent(text: str) -> float:
 
 def scalar_shares(volume: TetVolume) -> tuple[np.ndarray, np.ndarray]:
     """Return the normalised scalars of a volume in ascending order, (n,) float32, and the volume
-    that each stands for, (n,) float64, local: of a cell its own, of a vertex an equal part of each
-    of its cells'."""
+    that each stands for, (n,) float64, local. A cell stands for its own volume, a vertex for an
+    equal part of that of each of its cells."""
     sizes = cell_sizes(volume)
     if volume.constant:
         scalars = volume.gradients[:, 3]
@@ -398,7 +398,7 @@ def scalar_shares(volume: TetVolume) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cell_sizes(volume: TetVolume) -> np.ndarray:
-    """Return the volume of each cell, (T,) float64, local; of a hexahedron that of the six
+    """Return the volume of each cell, (T,) float64, local. A hexahedron has that of the six
     tetrahedra about its diagonal."""
     sizes = np.zeros(len(volume.cells))
     for corners in TETRAHEDRA[volume.cells.shape[1]]:

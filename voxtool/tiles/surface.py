@@ -94,7 +94,7 @@ class Part:
     """The part of a window.
 
     points, faces : where they wait; in faces, the vertices of other windows follow its own ones.
-    outer : of these, the window, the tile in it, and the place in the tile.
+    outer : the window of each vertex of other windows, the tile in it, and the place in the tile.
     border : Morton codes of its tiles at its sides, and the first vertex of each.
     """
 

@@ -71,7 +71,7 @@ float16 narrow_bend(float16 least, float16 across, float edge)
 }
 
 // An upper bound of the error above, from the excesses of sixteen triangles' distances over the sizes at
-// eight corners: of each triangle, and of the mean of each and the best.
+// eight corners: those of each triangle, and those of the mean of each and the best.
 float narrow_above(const float16 *excess_at[8])
 {
     float16 excess = *excess_at[0];
@@ -189,7 +189,7 @@ NOINLINE void bound_children_by(const narrow_triangles *n, int16 bits, const bou
     }
 }
 
-// Sets the bounds of a block's children from its list; edge: of a child.
+// Sets the bounds of a block's children from its list; edge: the edge of a child.
 NOINLINE void bound_children(const child_list *list, float edge, bounded_block *block)
 {
     float above[8], below[8];

@@ -111,7 +111,7 @@ __kernel void concatenate_level(__global const uint *before, __global const uint
 }
 
 // A node that flips flips all of its children (A.12); bricks follow below. A leaf is marked INSIDE;
-// `open` counts leaves that reach beyond the grid. above_codes: of the refined nodes of the level above.
+// `open` counts leaves that reach beyond the grid. above_codes: codes of refined nodes one level up.
 __kernel void propagate_level(__global svo_node *nodes, __global const CODE *above_codes,
                               const uint is_root, const uint first, const uint below, const uint n,
                               const uint side, const int3 shape, const uint is_last,

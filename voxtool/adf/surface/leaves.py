@@ -1,4 +1,4 @@
-"""The leaves that a surface of a field may pass, and the vertices of these.
+"""The leaves that a surface of a field may pass, and their vertices.
 
 A vertex is inside where its value is below the offset, by more than the rounding of distances: so
 vertices on the surface have one side, not those that rounding gives them. Leaves that share a
@@ -121,7 +121,7 @@ def vertices_near(field: DistanceField, leaves: Leaves, offset: np.float32) -> V
 
 
 def _near(leaves: Leaves, inside: np.ndarray) -> np.ndarray:
-    """Return the leaves near the surface, ascending; inside: of the vertices of blocks."""
+    """Return the leaves near the surface, ascending, given which vertices of blocks are inside."""
     flags = _sides(inside)[:, leaves.blocks, leaves.octants]
     top = min(leaves.depth, GRID_LEVEL)
     levels = np.minimum(leaves.levels, top)

@@ -304,7 +304,7 @@ class FractionJob(Job[Octree]):
 
     @cached_property
     def volumes(self) -> Volumes:
-        """The signed volumes of the mesh, caps included; of a window, those of the whole mesh."""
+        """The signed volumes of the whole mesh, caps included, also for a window."""
         lattice = self.solid.lattice
         faces = lattice.faces.get(0, lattice.faces.size).reshape(-1, 3)
         rounded = volume_in_units(lattice.fixed, faces) / (6 << 3 * lattice.bits)

@@ -45,11 +45,11 @@ SHARED_BYTES = 64  # of the union on device and host, a brick, beside its values
 class PartLabelsPlan:
     """The plan of a voxelization with labels.
 
-    mode : of the octree
-    names : of the labels
+    mode : the octree's
+    names : the labels'
     together : parts that are voxelized at once
     alone : (part, reason) of the others
-    dtype : of the labels
+    dtype : the labels'
     side : voxels along a side of the grid in which the first ones lie
     inner : plans of the voxelizations
     """

@@ -78,8 +78,8 @@ class ThinParts:
     beside : (27, m) int32
         Where the neighbours of each candidate are among the codes; n for those that are not.
     subfields : (m,) int64
-        Of each candidate, as thinning takes them; the same wherever the mesh is moved by whole
-        voxels.
+        The subfield of each candidate, as thinning takes them. It stays the same if the mesh moves
+        by whole voxels.
     """
 
     codes: np.ndarray

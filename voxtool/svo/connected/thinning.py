@@ -50,14 +50,14 @@ class Thinning:
     present : (n + 1,) bool
         The voxels that are set; the last one is not.
     row_of : (n + 1,) int64
-        Of each voxel that may go: its row in the following; the number of rows of others.
+        The row in the following of each voxel that may go; m for other voxels.
     beside : (27, m) int32
         The neighbours of each row.
     masks : (m + 1,) uint32
         Their neighbourhoods.
     covering : (n + 1,) int64
-        Of each covered voxel: how many of it and those that share a face or an edge with it are
-        set; many of others.
+        How many voxels are set of each covered voxel and those that share a face or an edge with
+        it; a large number for other voxels.
     stays : (m,) bool
         Those that have separated.
     """
@@ -70,7 +70,7 @@ class Thinning:
         Parameters
         ----------
         may_go, covered, sheets : (n,) bool
-            Those that may go; and of these, the covered ones, and those that may lie in sheets.
+            The voxels that may go, the covered ones, and those that may lie in sheets.
         beside : (27, m) int32
             Where the neighbours of those that may go are among the n, as from neighbours_among.
         """

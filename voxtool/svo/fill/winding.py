@@ -260,8 +260,9 @@ class NearHoles:
         return found
 
     def _numbers(self, voxels: np.ndarray, winding: WindingNumber | None) -> np.ndarray:
-        """Return (n,) float64 winding numbers at voxels, given by Morton codes: of the mesh, or
-        of the mesh with its caps if `winding`, the winding number of the caps, is None."""
+        """Return (n,) float64 winding numbers at voxels, given by Morton codes. They are those of
+        the mesh with its caps if `winding`, the winding number of the caps, is None, or else those
+        of the mesh alone."""
         n = len(voxels)
         codes, numbers = self._device.put(voxels), self._device.empty(n, np.float64)
         self._kernel("number_voxels")(n, codes, numbers, **self._arguments)
