@@ -246,7 +246,8 @@ def one_call(
 
 
 def _outside() -> int:
-    """The stack level of the caller outside this package, so that a warning names its line."""
+    """Return the stack level of the caller outside this package, so that a warning names its
+    line."""
     package, frame, level = os.path.dirname(__file__), sys._getframe(1), 1
     while frame.f_back and frame.f_code.co_filename.startswith(package):
         frame, level = frame.f_back, level + 1

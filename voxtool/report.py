@@ -140,7 +140,7 @@ class Report:
     boundary: Loops
 
     def as_dict(self) -> dict[str, Any]:
-        """The report in JSON types."""
+        """Return the report in JSON types."""
         found = {JSON_NAMES.get(f.name, f.name): getattr(self, f.name) for f in fields(self)}
         del found["boundary"]
         found["diagnosis"] = self.diagnosis.as_dict()
@@ -148,7 +148,7 @@ class Report:
         return found
 
     def text(self) -> str:
-        """The report as one screen of text."""
+        """Return the report as one screen of text."""
         return "\n".join(lines(self))
 
     def __str__(self) -> str:

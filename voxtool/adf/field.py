@@ -237,7 +237,8 @@ class DistanceField(Data):
         return digest_of(head, *arrays, *([] if self.bounds is None else [self.bounds]))
 
     def summary(self) -> dict[str, Any]:
-        """Counts and sizes in JSON types; origin and side in world units, lengths in sides.
+        """Return the counts and sizes in JSON types; origin and side in world units, lengths in
+        sides.
 
         `saved` has the two savings of [ADF]: of section 3.1, the blocks against eight float32 a
         leaf or, as it counts there, a cell; of section 3.2, the slots of cells that have blocks

@@ -189,7 +189,7 @@ render = one_call(plan_render, "render", np.ndarray)
 
 
 def _repr_png_(self: Any) -> bytes | None:
-    """The picture that a notebook shows: PNG, or None where none can be made."""
+    """Return the picture that a notebook shows: PNG, or None where none can be made."""
     with suppress(Exception), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         content = self

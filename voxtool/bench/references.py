@@ -34,7 +34,8 @@ NO_SOLID = {"volume": "the voxels that a surface touches are no solid"}
 
 
 def capped(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with its holes closed by fans, as `fill="winding"` closes them, and their number."""
+    """Return the mesh with its holes closed by fans, as `fill="winding"` closes them, and their
+    number."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     own = Mesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32), name=mesh.name)
     fixed = Grid.fit(mesh, CAPPED_DIM).to_fixed(own.vertices)
@@ -66,7 +67,7 @@ class Reference:
         self.volume, self.area = abs(volume(mesh)), area(mesh)
 
     def errors_of(self, surface: Mesh) -> Any:
-        """The `errors` and `absent` of a Point."""
+        """Return the `errors` and `absent` of a Point."""
         if not len(surface.faces):
             return {"errors": {}, "absent": dict.fromkeys(MEASURES["extract"], "it is empty")}
         errors: dict[str, float] = {}
@@ -90,7 +91,7 @@ class Reference:
         }
 
     def in_voxels(self, found: dict[str, dict], edge: float) -> dict[str, float]:
-        """The distances of `errors_of` in voxels, or leaves, with an edge in world units."""
+        """Return the distances of `errors_of` in voxels, or leaves, with an edge in world units."""
         names = {"rms": "rms in voxels", "hausdorff": "max in voxels"}
         return {
             name: self.diagonal / edge * found["errors"][measure]
@@ -100,14 +101,14 @@ class Reference:
 
 
 def area(mesh: Mesh) -> float:
-    """The area of a mesh, in square world units."""
+    """Return the area of a mesh, in square world units."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     return math.fsum(length(cross(b - a, c - a)).tolist()) / 2
 
 
 def voxels_of_peer(made: Any, grid: Grid) -> Octree:
-    """The voxels of another tool: a vtkImageData, a vtkImageStencilData, or a VoxelGrid of Open3D
-    or trimesh."""
+    """Return the voxels of another tool: a vtkImageData, a vtkImageStencilData, or a VoxelGrid of
+    Open3D or trimesh."""
     if hasattr(made, "matrix"):
         pitch = np.asarray(made.pitch, np.float64)
         low = made.translation - pitch / 2
@@ -130,8 +131,8 @@ def voxels_of_peer(made: Any, grid: Grid) -> Octree:
 
 
 def surface_of_peer(made: Any, origin: np.ndarray, step: np.ndarray | float) -> Mesh:
-    """The surface of another tool, a vtkPolyData or the arrays of scikit-image, on a lattice that
-    begins at an origin."""
+    """Return the surface of another tool, a vtkPolyData or the arrays of scikit-image, on a lattice
+    that begins at an origin."""
     if isinstance(made, tuple):
         points, faces = made[0][:, ::-1], made[1]
     else:
@@ -169,7 +170,7 @@ def distances_compared(
 
 
 def _rms(errors: np.ndarray) -> float:
-    """The root of the mean square; math.fsum rounds once, in whatever order it adds."""
+    """Return the root of the mean square; math.fsum rounds once, in whatever order it adds."""
     return math.sqrt(math.fsum(errors * errors) / max(len(errors), 1))
 
 
@@ -191,8 +192,8 @@ class ReferencePicture:
     expected: np.ndarray
 
     def compared(self, found: np.ndarray) -> dict[str, Any]:
-        """The `errors` and `figures` of a Point for (N, 4) colours: the errors are those of the
-        pixels that are not empty in both."""
+        """Return the `errors` and `figures` of a Point for (N, 4) colours: the errors are those of
+        the pixels that are not empty in both."""
         alpha = self.expected[:, 3]
         seen = (alpha > 0) | (found[:, 3] > 0)
         off = np.abs(found[seen].astype(np.float64) - self.expected[seen]).ravel()
@@ -205,5 +206,5 @@ class ReferencePicture:
         }
 
     def of(self, picture: np.ndarray) -> np.ndarray:
-        """The colours of the pixels in a picture."""
+        """Return the colours of the pixels in a picture."""
         return picture[self.pixels[:, 1], self.pixels[:, 0]]

@@ -205,7 +205,7 @@ class Peers:
 def field_rows(
     row: partial[Row], field: DistanceField, points: Mapping[str, np.ndarray], bench: Bench
 ) -> Iterator[Row]:
-    """Rows of the peers of a field, at points of each kind, by its name."""
+    """Yield rows of the peers of a field, at points of each kind, by its name."""
     peers, ask = Peers(field, bench.profiled), FieldQuery(field, bench.profiled)
     tables = {EIGHT: "3.1", VERTICES: "3.1", PERFECT: "3.4", PROBED: "3.4"}
     for what, places in points.items():
@@ -265,7 +265,7 @@ def decode(codes: np.ndarray, device: Device, by_table: bool) -> np.ndarray:
 
 
 def decoding_rows(row: partial[Row], bench: Bench) -> Iterator[Row]:
-    """Rows of Morton codes that are decoded by bits and by table."""
+    """Yield rows of Morton codes that are decoded by bits and by table."""
     table = decoding_table()
     yield row("[voCCeL] section 5.1", what="table for decoding", unit="bytes", text=table.size,
               voxtool=table.nbytes, ours="numbers of a byte, by axis and nine bits; codes are "

@@ -495,7 +495,8 @@ def check_holds_parts(format: str) -> None:
 
 
 def _read(path: PathLike, kind: Kind) -> Any:
-    """The content of a file, as the reader for its format returns it; merged octrees expanded."""
+    """Return the content of a file, as the reader for its format returns it; merged octrees
+    expanded."""
     with ExitStack() as stack:
         content = _read_open(path, kind, stack)
     if not hasattr(content, "expanded"):  # a MergedOctree
@@ -514,7 +515,7 @@ def _naming(name: str) -> Iterator[None]:
 
 
 def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
-    """The content of a file, which stays open until the stack ends."""
+    """Return the content of a file, which stays open until the stack ends."""
     name = streams.input_name(path)
     try:
         file, size = stack.enter_context(streams.open_whole(path))

@@ -26,8 +26,8 @@ PAIRS = 1 << 15  # runs that are read at once
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of the file, of which a mixed cell begins a run at most; FileError if voxels are no
-    cubes."""
+    """Return the bytes of the file, of which a mixed cell begins a run at most; FileError if voxels
+    are no cubes."""
     if len(set(image.pitch)) > 1:
         raise FileError(
             "a .binvox has voxels of equal sides, and these have not: choose another format"

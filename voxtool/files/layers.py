@@ -21,7 +21,7 @@ PICTURE_BYTES = 4200  # of a picture beyond its pixels, with the block of a disk
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of all pictures, at most."""
+    """Return the bytes of all pictures, at most."""
     return image.cells // 4 + PICTURE_BYTES * max(image.shape)
 
 

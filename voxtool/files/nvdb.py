@@ -94,7 +94,7 @@ def _floats(image: VoxelImage) -> VoxelImage:
 
 
 def size(image: VoxelImage) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     image = _floats(image)
     corners, _ = image.block_nodes(LEAF_SIDE)
     grids = 1 + len(image.attributes)

@@ -52,8 +52,8 @@ UNITS = {"um": "micrometer", "mm": "millimeter", "cm": "centimeter", "m": "meter
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of the folder: of cells that are neither far inside nor far outside, and of the other
-    ones at a high compression; coarser arrays take a seventh of that."""
+    """Return the bytes of the folder, in which cells far inside or far outside take few. Coarser
+    arrays take a seventh of the finest."""
     each = 8 if image.dtype == np.float64 else 4
     found = 0
     for one in (each, *(attribute.cell_bytes for attribute in attributes_of(image))):

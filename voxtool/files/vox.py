@@ -43,7 +43,7 @@ DEEPEST = 64  # nodes inside nodes
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of the file, at most."""
+    """Return the bytes of the file, at most."""
     image = image.with_dtype(bool)
     sides = [(len(cubes.corners), cubes.side) for cubes in image.cubes(BLOCK)]
     full = sum(count * side**3 for count, side in sides if side >= MODEL_SIDE)

@@ -39,7 +39,7 @@ FULL = 255  # the coverage of a cell that is wholly set
 
 
 def size(image: VoxelImage) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     source = _source(image)
     attributes = attributes_of(image)
     cells = sum(TreeCells(source.octree, source.level, attributes).by_depth)

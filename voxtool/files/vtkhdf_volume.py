@@ -49,7 +49,7 @@ class VolumeCells:
 
 
 def size(image: VolumeCells) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     return EXTRA + image.host_bytes
 
 

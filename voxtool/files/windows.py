@@ -228,7 +228,7 @@ class Store:
             os.fsync(file.fileno())
 
     def _error(self, error: OSError) -> FileError:
-        """The error of reading or writing a file of the folder."""
+        """Return the error of reading or writing a file of the folder."""
         if isinstance(error, FileNotFoundError):
             return FileError(
                 f"{self.folder} is gone: another run or program has taken or removed it: run the "

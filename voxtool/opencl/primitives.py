@@ -200,7 +200,8 @@ def bucket_sort(buckets: Array, keys: Array, n: int, size: int) -> tuple[Array, 
 
 
 def unique(keys: Array, n: int) -> tuple[Array, int]:
-    """The distinct keys of n sorted ones (uint32 or uint64), in a new array, and their number.
+    """Return the distinct keys of n sorted ones (uint32 or uint64), in a new array, and their
+    number.
 
     The last key of each run is kept [voCCeL, section 6.3: uniquify]. Waits for the device.
     """
@@ -211,7 +212,7 @@ def unique(keys: Array, n: int) -> tuple[Array, int]:
 
 
 def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
-    """The values whose flag is 1, in their order, in a new array, and their number.
+    """Return the values whose flag is 1, in their order, in a new array, and their number.
 
     Waits for the device.
 

@@ -43,7 +43,7 @@ def balls_far_apart(device: Device, full: bool) -> int:
 
 
 def lattice_points(radius: float) -> int:
-    """The lattice points within a radius of the origin."""
+    """Return the lattice points within a radius of the origin."""
     n, d = radius.as_integer_ratio()
     steps = range(-int(radius), int(radius) + 1)
     return sum((x * x + y * y + z * z) * d * d <= n * n for x, y, z in product(steps, repeat=3))

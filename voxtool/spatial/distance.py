@@ -165,7 +165,7 @@ class TriangleDistance:
         return Nearest(*made)
 
     def blocks(self, world: np.ndarray) -> Iterator[PointBlock]:
-        """The points on the device, block by block; raises VoxtoolError as the call."""
+        """Return the points on the device, block by block; raises VoxtoolError as the call."""
         return point_blocks(self.device, self.tree, world, self.block, self.near)
 
     def at_block(self, block: PointBlock, located: bool = False) -> Nearest:

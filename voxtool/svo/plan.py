@@ -176,7 +176,7 @@ class VoxelizePlan:
         )
 
     def _flood_cost(self, grid: tuple[int, int, int]) -> Cost:
-        """The predicted bytes of flooding a grid: of its largest slab, beside the mesh."""
+        """Return the predicted bytes of flooding a grid: of its largest slab, beside the mesh."""
         block, steps = flood_block(max(grid), self.gap), flood_steps(self.gap)
         slab = -(-grid[2] // (block * self.slabs)) * block + 2 * (block + steps)
         share = min(slab / grid[2], 1.0) if self.slabs > 1 else 1.0
@@ -305,8 +305,8 @@ class VoxelizePlan:
         return rows
 
     def fits(self, max_memory: int, max_allocation: int, cost: Cost | None = None) -> bool:
-        """True if the work fits in memory and the nodes fit 30-bit links; `cost` may be that of
-        more than the octree."""
+        """Return True if the work fits in memory and the nodes fit 30-bit links; `cost` may be that
+        of more than the octree."""
         cost = cost or self.cost
         return not cost.shortage(max_memory, max_allocation) and self.nodes < MAX_LINK
 
@@ -399,7 +399,7 @@ def _dense_bytes(side: int, cell: int) -> int:
 
 
 def _rescale(plan: VoxelizePlan, factor: float) -> VoxelizePlan:
-    """The plan of the same scene at another dim."""
+    """Return the plan of the same scene at another dim."""
     s = plan.survey
     ax, ay, az = (a * factor**2 for a in s.areas)
     survey = replace(s, extent=s.extent * factor, areas=(ax, ay, az))

@@ -187,7 +187,8 @@ class VolumeScene:
         return sum(volume.sizes().values()) + view
 
     def points(self) -> np.ndarray:
-        """(V, 3) float64, world units: the vertices, whatever the transfer function shows."""
+        """Return (V, 3) float64, world units: the vertices, whatever the transfer function
+        shows."""
         return self.content.points()
 
     def local_rays(self, rays: Rays) -> Rays:

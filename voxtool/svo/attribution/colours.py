@@ -350,11 +350,11 @@ class SurfaceAttributesJob(Job[Octree]):
         return {**inner, **self.plan.described(), "stages": self.plan.stages}
 
     def findings(self, result: Octree) -> Iterable[str]:
-        """Warnings about the octree."""
+        """Return warnings about the octree."""
         return self.inner.findings(result)
 
     def notes(self, result: Octree) -> Iterable[str]:
-        """Remarks on the octree."""
+        """Return remarks on the octree."""
         return self.inner.notes(result)
 
     def doubts(self, result: Octree) -> Iterable[str]:

@@ -137,7 +137,7 @@ class ExtractionPlan:
         )
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
-        """True if memory suffices."""
+        """Return True if memory suffices."""
         return not self.cost.shortage(max_memory, max_allocation)
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
