@@ -203,7 +203,7 @@ double bundle_angle(__global const double *bundle, double3 a, double3 b, double3
     return 2 * bundle[NET] * angle.x + arms_angle(bundle, a, c) - arms_angle(bundle, b, c);
 }
 #else
-// The same of a fan.
+// The solid angle of a bundle of a fan, or NAN if its parts must be summed.
 double bundle_angle(__global const double *bundle, double3 a, double3 b, double3 c, double3 spine)
 {
     if (!is_smooth(bundle, a, c))

@@ -115,8 +115,8 @@ def surfaces(octree: Octree, timed: Device, row: Any) -> Iterator[Point]:
 
 
 def errors_of(made: Any, octree: Octree) -> dict[str, float]:
-    """Return the volume that the surface lacks of the voxels', and of labels the meshes that are
-    open."""
+    """Return the volume that the surface lacks of the voxels', and the number of open meshes if
+    there are labels."""
     whole = octree.count * octree.grid.voxel_volume
     if not isinstance(made, LabelledSurface):
         a, b, c = np.moveaxis(made.vertices[made.faces], 1, 0)

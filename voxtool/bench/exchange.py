@@ -42,8 +42,8 @@ OWN: dict[str, Callable[[Octree], Octree | MergedOctree]] = {  # voxtool's own
     "merged.svo.h5": MergedOctree.of,
 }
 MOST_BYTES = 256_000_000  # of a file that is measured: a list of points may be very long
-MOST_OF_HEXAHEDRA = 1_200_000_000  # the same for solvers: ten million hexahedra
-TOLERANCE = 1e-2  # of the field, in sides: its files are measured, not its making
+MOST_OF_HEXAHEDRA = 1_200_000_000  # of a file for solvers: ten million hexahedra
+TOLERANCE = 1e-2  # sides, of the field: its files are measured, not its making
 WITHOUT = {"returned": "voxtool does not read it"}
 
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 FILE, MANY = "mesh to file of an octree", "{} meshes to files of octrees"
 FLOOD = "mesh to file of a flooded octree"
 MODE = "surface26"
-SHARE = 4  # the octree takes so many times the memory that windows may
+SHARE = 4  # the octree takes SHARE times the memory that windows may
 FLOOD_SHARE = 2  # the same of a flood, whose windows need what lies around them
 MESHES = 16
 RADIUS = 4  # voxels

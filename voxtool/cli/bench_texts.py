@@ -27,9 +27,9 @@ def command(
 ) -> None:  # fmt: skip
     """Repeat the experiments of the texts that voxtool implements, with their figures beside.
 
-    Of triangle meshes: the tables, figures and methods of [voCCeL], and the hash, searches and
-    sizes of [ADF]. For volume meshes: the textures and the integration of [TetVol]. Units stand
-    beside what is measured, ms for times. Misprints are marked and not compared. docs/references.md
+    Triangle meshes repeat the tables, figures and methods of [voCCeL], and the hash, searches and
+    sizes of [ADF]; volume meshes the textures and the integration of [TetVol]. Units stand beside
+    what is measured, ms for times. Misprints are marked and not compared. docs/references.md
     names the texts.
 
     \b

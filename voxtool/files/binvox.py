@@ -93,7 +93,7 @@ def _write_runs(file: BinaryIO, values: np.ndarray, lengths: np.ndarray) -> None
 
 
 def read(file: BinaryIO, size: int) -> Stored:
-    """Return the voxels of runs; without translate and scale, of the unit cube."""
+    """Return the voxels of runs; they fill the unit cube if there is no translate and scale."""
     if not file.readline(64).startswith(b"#binvox "):
         raise FileError("is no .binvox file")
     found = {"translate": [0.0] * 3, "scale": [1.0], "dim": [0.0] * 3}

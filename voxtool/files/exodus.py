@@ -1,7 +1,7 @@
 """Exodus II: meshes of cells in HDF5 (netCDF-4) or in classic netCDF [Schoof 1994].
 
-Only the variables that are needed are opened, and of those in time only the first step is read.
-What they take is compared with the file and with free memory beforehand.
+Only the variables that are needed are opened. Those that vary in time are read at the first step.
+Their bytes are compared with the file and with free memory beforehand.
 """
 
 from __future__ import annotations

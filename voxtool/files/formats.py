@@ -61,7 +61,7 @@ class Exchange(NamedTuple):
     opacity: bool = True  # whether its colours have one
 
 
-# What is written, by the extension that names it.
+# Writers, by the extension that names them.
 SVO_FORMATS = {
     "svo.h5": Writer("svo_hdf5"),
     "svo.xml": Writer("svo_xml", text=True),

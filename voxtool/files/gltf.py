@@ -109,7 +109,7 @@ class Tree:
         return self.part(view["buffer"], view.get("byteOffset", 0), view["byteLength"])
 
     def part(self, buffer: int, start: int, size: int) -> bytes:
-        """Return so many bytes of a buffer; ValueError if it ends before."""
+        """Return `size` bytes of a buffer from `start` on; ValueError if it ends before."""
         data = self.buffers[buffer]
         if not 0 <= start <= start + size <= len(data):
             raise ValueError(f"buffer {buffer} ends before what it should hold")

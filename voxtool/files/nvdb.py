@@ -66,7 +66,7 @@ class Content(NamedTuple):
     """A grid: its class, its place in the world, and its tree.
 
     The values of the leaves are the bytes of their active cells, or of all with `whole`; None where
-    all active ones are one. What neither a leaf nor a tile holds has the background.
+    all active ones are one. Cells in neither a leaf nor a tile have the background.
     """
 
     kind: int

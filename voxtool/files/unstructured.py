@@ -1,8 +1,8 @@
 """Unstructured meshes of volume cells with a scalar: Exodus, and what meshio reads (the extra
 `tets`).
 
-exodus.py and through_meshio.py guard against hostile files. What the cells and the scalars
-themselves are is checked by voxtool.tets.mesh, which any mesh passes.
+exodus.py and through_meshio.py guard against hostile files. voxtool.tets.mesh, which any mesh
+passes, checks the cells and the scalars themselves.
 """
 
 from __future__ import annotations

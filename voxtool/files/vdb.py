@@ -211,7 +211,7 @@ def string(value: str | bytes) -> bytes:
 
 
 def header_of(identifier: UUID, grids: int = 1) -> bytes:
-    """Return the opening of a file of so many grids."""
+    """Return the opening of a file, given the number of its grids."""
     fixed = struct.pack("<qIIIB", MAGIC, FILE_VERSION, *LIBRARY, True) + str(identifier).encode()
     return fixed + struct.pack("<II", 0, grids)
 

@@ -301,7 +301,7 @@ class Content:
 
 def read(file: BinaryIO, size: int) -> Stored:
     """Return the colours of the voxels, 1 to 255, of all models that the scene shows: hidden ones,
-    too, and of animations the first frame."""
+    too, and those of the first frame of animations."""
     content = _content(file, size)
     placed = content.placed()
     if not placed:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 CENTRE = np.array([1e3, -2e3, 3e3])
 RADIUS = 1e-4
-EVERY = 4  # one of so many faces is reversed, the next one is missing
+EVERY = 4  # one face in EVERY is reversed, the next one is missing
 
 
 @case("repair", "a ball of 1e-4 at (1e3, -2e3, 3e3), faces missing and reversed: a closed ball",

@@ -199,7 +199,7 @@ class TriangleDistance:
 
     def nearest_faces(self, points: np.ndarray, grains: float) -> tuple[np.ndarray, np.ndarray]:
         """Return for (N, 3) points the nearest faces, (N,) int64, and the squares of their
-        distances in grains, (N,) float64 whole numbers; of faces with equal ones the first.
+        distances in grains, (N,) float64 whole numbers. The first of equally near faces counts.
 
         `grains` is the number of grains in a square of a unit of the world, a power of two.
         """

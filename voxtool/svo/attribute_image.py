@@ -87,7 +87,7 @@ class AttributeImage:
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of the values: of labels the smallest unsigned one that holds them."""
+        """Type of the values: the smallest unsigned one that holds them for labels."""
         attribute = self.attribute
         if self.name == "label":
             return np.dtype(np.min_scalar_type(max(len(attribute.names), 1)))
@@ -136,8 +136,8 @@ class AttributeImage:
 
     @property
     def own_bytes(self) -> int:
-        """A bound of the memory of the octree's values, of layers of them and of those of nodes; of
-        parts it counts with the octree's."""
+        """A bound of the memory of the octree's values, of layers of them and of those of nodes; 0
+        for an image in parts, where it counts with the octree's."""
         if self.image.in_parts:
             return 0
         values, level = self.attribute.nbytes, self.level

@@ -166,7 +166,7 @@ class Attribute(Data):
         return replace(self, values=self.values[:], masks=masks)
 
     def summary(self) -> dict[str, Any]:
-        """Return the type, sizes and names in JSON types; of areas also their sum."""
+        """Return the type, sizes and names in JSON types, and the sum of areas."""
         sizes = {"values": len(self.values), "leaves": len(self.leaves)}
         sizes["memory_bytes"] = self.nbytes
         more = {"sum": float(self.total)} if self.name == "area" else {}

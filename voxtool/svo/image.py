@@ -393,7 +393,7 @@ class VoxelImage:
         return self._known[power]
 
     def _found(self, target: int, side: int) -> Leaves:
-        """Return the same for the nodes of the octree's level `target`, of `side` cells."""
+        """Return the leaves at the octree's level `target`, whose nodes are `side` cells wide."""
         levels = self._counts.levels
         if target >= len(levels):  # one block holds the whole grid
             return Leaves(np.zeros(1, np.uint64), np.zeros(1, np.int64), [])

@@ -297,7 +297,7 @@ def plan_of(
     tiles: int,
     max_memory: int | None,
 ) -> MorphPlan:
-    """Return the plan of an operation on an octree whose boundary so many tiles hold."""
+    """Return the plan of an operation on an octree, given the number of tiles of its boundary."""
     element = element_of(octree, radius, world, shape)
     low = high = np.zeros(3, np.int64)
     bounds = octree.bounds() if operation == "dilate" else None
@@ -311,7 +311,7 @@ def plan_of(
 
 
 def batch_of(element: Element, tiles: int, max_memory: int | None) -> int:
-    """Return the number of tiles that are dilated at once, of an octree with so many."""
+    """Return the number of an octree's tiles that are dilated at once."""
     room = SCRATCH if max_memory is None else min(SCRATCH, max_memory - tiles * TILE_BYTES)
     return max(room // element.scratch, 1)
 
@@ -365,7 +365,7 @@ class MorphJob(Job[Octree]):
 
 
 def why_empty(plan: MorphPlan, before: int, after: int) -> Iterator[str]:
-    """Yield why a result is empty, of the numbers of set voxels."""
+    """Yield why a result is empty, given the numbers of set voxels."""
     if not before:
         yield "no voxel is set, so none is changed: see `voxtool svo-info`"
     elif not after:

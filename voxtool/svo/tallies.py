@@ -29,8 +29,8 @@ def tally_of(attribute: Attribute, side: int) -> _Tallies:
 
 
 class _Tallies(ABC):
-    """What is known of the voxels of each cell, and how it is found for larger cells. What a tally
-    is made of is up to the subclass."""
+    """Tallies of the voxels of each cell, and of larger cells from those of smaller ones. A
+    subclass decides what a tally consists of."""
 
     @abstractmethod
     def of_voxels(self, values: np.ndarray, set_: np.ndarray, own: np.ndarray) -> Any:

@@ -24,7 +24,7 @@ SOURCE = "tets/integrate.cl"
 INTEGRATORS = ("linear", "preintegrated", "average", "sampled")
 MOST_SAMPLES = 1 << 12  # points in a cell
 BUCKETS = 256  # parts of the scalars, in which the search for a control point begins,
-MANY = 128  # where there are at least so many points; with fewer all are compared
+MANY = 128  # where there are at least MANY points; with fewer all are compared
 TABLE = 128, 32  # scalars and lengths along the sides of the pre-integrated table
 
 HEADERS = {

@@ -235,8 +235,8 @@ class LocalTransfer:
         return float(self.exact[:, 5].max())
 
     def below(self, parts: int) -> np.ndarray:
-        """Return the number of control points below each of so many equal parts of [0, 1], (parts,)
-        float32; `parts` is a power of two, so that a scalar's part is computed exactly."""
+        """Return the number of control points below each of `parts` equal parts of [0, 1], (parts,)
+        float32. `parts` is a power of two, so that a scalar's part is computed exactly."""
         part = np.clip(self.points * np.float32(parts), 0, parts - 1).astype(np.int64)
         return np.searchsorted(part, np.arange(parts)).astype(np.float32)
 

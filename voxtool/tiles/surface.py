@@ -166,7 +166,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         return (*below, AROUND**3, 8, 1)
 
     def _window_plan(self, nodes: tuple[int, ...]) -> ExtractionPlan:
-        """Return the plan of an octree with so many nodes."""
+        """Return the plan of an octree, given its nodes by level."""
         whole, solid = self._whole, "solid" in self.octree.mode
         return plan_of(nodes, False, solid, whole.style, whole.level, whole.isovalue)
 
@@ -267,7 +267,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
 def plan_windows(
     octree: OctreeContent, device: Device, max_memory: int | None = None, **request: Any
 ) -> SurfaceWindowsJob | None:
-    """Return the job of an extraction in windows, or None if it fits in memory as a whole, or if
+    """Return the job of an extraction in windows, or None if it fits in memory, or if
     its style or its windows do not allow it."""
     whole = plan_unread(octree, **request)
     if whole.style == SHARP or whole.merge or fits_whole(octree, whole, device, max_memory):

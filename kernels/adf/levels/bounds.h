@@ -210,7 +210,7 @@ NOINLINE void bound_children(const child_list *list, float edge, bounded_block *
 }
 
 #ifdef SIGNED
-// The same bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
+// The bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
 // most `farthest`. If all normals are within an angle of the first, so is the direction to the
 // nearest point. Each distance is then the distance to a triangle's plane, divided by a cosine of
 // at least that of twice the angle. If they are not, the bound is infinite: the cell may have several

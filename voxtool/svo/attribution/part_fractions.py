@@ -1,9 +1,9 @@
 """Voxels that know their part, and how much of them lies inside.
 
 Each part has fractions of its own, by its own fill rule. A voxel has their sum, at most 1, and
-belongs to the part that has the greatest share of it, of equal ones to the first by priority. Of
-parts that do not overlap the sum is exact; of others it lies between the greatest share and what
-their union has.
+belongs to the part that has the greatest share of it, of equal ones to the first by priority. The
+sum is exact if the parts do not overlap; if they do, it lies between the greatest share and that of
+their union.
 """
 
 from __future__ import annotations

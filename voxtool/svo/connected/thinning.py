@@ -91,7 +91,8 @@ class Thinning:
 
     def run(self, weights: np.ndarray, subfields: np.ndarray) -> np.ndarray:
         """Return which voxels stay, (n,) bool, given the weights and the subfields of those that
-        may go, (m,) int64 from 0 on; of one subfield no two have a common neighbour that may go."""
+        may go, (m,) int64 from 0 on. No two of one subfield have a common neighbour that may
+        go."""
         going = np.ones(len(self.rows), bool)
         key = SUBFIELDS * weights + subfields
         order = np.argsort(key, kind="stable")

@@ -293,7 +293,8 @@ class NearHoles:
         return self._decided("decide_by_expansions", bricks, MIDDLE, **of)
 
     def _by_sums(self, bricks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same of bricks in which every voxel's number is summed."""
+        """Return the codes and masks of the bricks that N >= 1 does not decide, by summing the
+        number of every voxel."""
         winding = self._windings[0]
         return self._decided(
             "decide_bricks", bricks, 0 if self._may_crowd else 1, moments=winding.moments,

@@ -271,7 +271,7 @@ def plan_labelled(
 
 
 class LabelledJob(Job[LabelledSurface]):
-    """The planned extraction of one mesh for each label, on the host but for nearest voxels.
+    """The planned extraction of one mesh for each label, on the host except for nearest voxels.
 
     Attributes
     ----------

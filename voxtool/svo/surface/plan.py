@@ -224,8 +224,8 @@ def untangling_bytes(edges: int) -> int:
 
 
 def proving_bytes(faces: int) -> int:
-    """Return the bytes on the device of the distances between two surfaces, each of up to so many
-    faces."""
+    """Return the bytes on the device of the distances between two surfaces of up to `faces` faces
+    each."""
     from voxtool.spatial.distance import POINT_BYTES, POINTS_AT_ONCE, rounded_bytes
     from voxtool.spatial.hausdorff import PART_BYTES, PIECES_AT_ONCE
 

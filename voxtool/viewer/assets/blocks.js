@@ -11,7 +11,7 @@ function tablesOf(root, level) {
   return bits <= ONE_TABLE ? 1 : Math.ceil(bits / TABLE_BITS);
 }
 
-// What the script and the shader agree on, each a uniform of this name.
+// Numbers that the script and the shader share, each a uniform of this name.
 const LAYOUT = {
   LEAVES: 32, // entries from here on: inside leaves, by size
   POINTERS: 64, // entries from here on: a table, or a block
