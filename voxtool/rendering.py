@@ -33,7 +33,7 @@ Content = Octree | MergedOctree | DistanceField | TetVolume
 Scene = OctreeScene | FieldScene | VolumeScene
 
 SIZE = (512, 512)  # pixels
-RAY_BYTES = 16  # of a ray's colour and opacity, float32
+RAY_BYTES = 16  # bytes of a ray's colour and opacity, float32
 SMALLER = "choose a smaller --size or fewer --samples"
 VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
 SCENES: dict[type, Any] = {

@@ -178,7 +178,7 @@ def _options(plan: FieldPlan) -> dict[str, int | str]:
 class Construction:
     """The data that the stages of all levels share.
 
-    arguments : of kernels, by name; options : of kernels; steepest : uint32, the bits of the
+    arguments : the kernels', by name; options : the kernels'; steepest : uint32, the bits of the
     steepest slope of a leaf; unbalanced : uint32, whether a leaf has a neighbour that is coarser by
     two levels; kept : uint32, the hanging vertices that keep their distances.
     """

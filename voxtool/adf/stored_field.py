@@ -32,7 +32,7 @@ class StoredField:
         Rows along z of the textures of a file, which is open; bounds may be None.
     places : (3,) int
         Blocks along x, y and z of the texture.
-    cells, hash, origin, side : as of DistanceField, but the numbers of blocks are pointers.
+    cells, hash, origin, side : as in DistanceField, but the numbers of blocks are pointers.
     """
 
     voxels: Slices

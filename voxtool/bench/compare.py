@@ -16,7 +16,7 @@ from voxtool.errors import FileError, one_line
 from voxtool.files.streams import PathLike, input_name, open_whole, read_error
 
 FORMAT, MAJOR = "voxtool-bench", "1"
-MOST_BYTES = 64 << 20  # of a report
+MOST_BYTES = 64 << 20  # bytes of a report
 MOST_TEXT = 1000  # characters of a name
 ERROR_NOISE = 1e-6  # relative
 KEY = ("bench", "model", "work", "method", "label")

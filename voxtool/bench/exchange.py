@@ -41,7 +41,7 @@ OWN: dict[str, Callable[[Octree], Octree | MergedOctree]] = {  # voxtool's own
     "svo.h5": lambda octree: octree,
     "merged.svo.h5": MergedOctree.of,
 }
-MOST_BYTES = 256_000_000  # of a file that is measured: a list of points may be very long
+MOST_BYTES = 256_000_000  # bytes of a file that is measured: a list of points may be very long
 MOST_OF_HEXAHEDRA = 1_200_000_000  # of a file for solvers: ten million hexahedra
 TOLERANCE = 1e-2  # sides, of the field: its files are measured, not its making
 WITHOUT = {"returned": "voxtool does not read it"}

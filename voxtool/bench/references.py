@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.opencl import Device
 
-TRIANGLE_BYTES = 280  # of a surface whose distances are measured, at the peak
+TRIANGLE_BYTES = 280  # bytes of a surface whose distances are measured, at the peak
 CAPPED_DIM = 4096  # of the lattice on which the boundary loops of a model are found
 NO_AREA = {"area": "faces of voxels do not tend to the area"}
 NO_SOLID = {"volume": "the voxels that a surface touches are no solid"}

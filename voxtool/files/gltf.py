@@ -31,7 +31,7 @@ TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: 
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives; the others are points and lines
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
-VALUE_BYTES = 100  # of memory for each value of JSON
+VALUE_BYTES = 100  # bytes of memory for each value of JSON
 HEAD = 12  # bytes of a GLB before its chunks
 
 

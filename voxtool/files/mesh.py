@@ -29,7 +29,7 @@ from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf", "3mf")
 PLY, GLB = (b"ply\n", b"ply\r"), b"glTF"  # how they begin
 KEPT = ("parts", "appearance")
-MAX_BYTES = 8 << 30  # of one file, unpacked
+MAX_BYTES = 8 << 30  # bytes of one file, unpacked
 # A .gz or .3mf may unpack to this many times its size, and some bytes more. A plane of equal
 # triangles as ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
 MOST_PACKED, ANY_SIZE = 100, 1 << 24

@@ -28,7 +28,7 @@ MOST_LETTERS = 256  # of a name, and of an attribute that is kept
 class Variable(NamedTuple):
     """A variable of a file. Nothing of it has been read yet.
 
-    shape, dtype : of its numbers.
+    shape, dtype : those of its numbers.
     piece : the least number of bytes that can be read.
     text : returns an attribute; FileError if there is no such text.
     rows : returns the first n rows, of a given n; FileError if they are not in the file.

@@ -43,7 +43,7 @@ MOST_CHUNKS = 1 << 22  # that are looked for
 CHUNK_FILE = re.compile(r"(/c)?([/.]\d{1,9})+")  # in the folder of an array
 GRID = "voxtool_grid"
 CHUNK_BYTES, ARRAY_BYTES = 4096, 8192  # of the disk, beyond the values
-NAME_BYTES = 200  # of what is said of a label, beyond the letters of its name
+NAME_BYTES = 200  # bytes of what is said of a label, beyond the letters of its name
 # What stores numbers and runs no code; others, such as pickle, are refused.
 CODECS = {"blosc", "zstd", "zlib", "gzip", "lz4", "bz2", "lzma", "bytes", "transpose", "crc32c",
           "sharding_indexed", "endian", "shuffle", "bitround", "delta"}  # fmt: skip

@@ -39,7 +39,7 @@ TEXT_LETTERS = 1 << 24  # unless they are long
 NUMBER = re.compile(
     r"\s*[+-]?((\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)\s*", re.ASCII | re.IGNORECASE
 )
-RECORD_BYTES = 1 << 26  # of a PLY file's vertices that are in memory at once
+RECORD_BYTES = 1 << 26  # bytes of a PLY file's vertices that are in memory at once
 
 
 def read_points(

@@ -52,7 +52,7 @@ NAMES = (
     '<StructuredAnnotations><MapAnnotation ID="Annotation:0" Namespace="voxtool.labels"><Value>'
     "{rows}</Value></MapAnnotation></StructuredAnnotations>"
 )
-NAME_BYTES = 64  # of a name in the XML, beyond its letters
+NAME_BYTES = 64  # bytes of a name in the XML, beyond its letters
 TYPES = {"bool": "bit", "float32": "float", "float64": "double"}
 
 

@@ -32,7 +32,7 @@ SPARSE = 64  # voxels of a model for each that is set, from which on they are pa
 LAYERS = 16  # of a model that are listed at once
 WORLD_SIDE = 2000  # voxels along a side of MagicaVoxel's world
 MOST_BYTES = (1 << 31) - 1  # that a chunk counts
-NODE_BYTES = 200  # of the two nodes and the chunks of a model, at most
+NODE_BYTES = 200  # bytes of the two nodes and the chunks of a model, at most
 COLOURS = 256  # of a palette, of which the last is not used
 # Attributes of the root node: the grid, its low voxel in the scene, and the unit.
 GRID, LOW, UNITS = "voxtool_grid", "voxtool_low", "voxtool_units"

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 SOURCE, PACKETS = "spatial/distance.cl", "spatial/nearest_packets.cl"
 POINTS_AT_ONCE = 1 << 20  # on the device: the more there are, the nearer is the next
-POINT_BYTES = 48  # of a point on the device: position, order, codes, distance
+POINT_BYTES = 48  # bytes of a point on the device: position, order, codes, distance
 SORTED_FROM = 1 << 9  # points: fewer are not sorted
 NEAR = 8.0  # extents within which single precision bounds distances to boxes; see MARGIN_BITS
 POINTS = VECTOR  # of a packet, which are near each other and share a traversal

@@ -56,8 +56,8 @@ ERROR = 2.0**-42  # more than (430 + 9 (ROUNDS + 2)) 2^-53
 NEARLY = 2.0**-6  # of a reach: what is nearer to it may be taken for beyond
 PIECES = 1 << 21  # left after a round, at most; those nearest to the other mesh are given up
 PIECES_AT_ONCE = 1 << 18  # cut on the device
-PIECE_BYTES = 448  # of a piece on the host, with what two parts of it take
-PART_BYTES = 256  # of a piece on the device
+PIECE_BYTES = 448  # bytes of a piece on the host, with what two parts of it take
+PART_BYTES = 256  # bytes of a piece on the device
 
 
 @dataclass(frozen=True, eq=False)

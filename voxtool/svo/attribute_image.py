@@ -23,7 +23,7 @@ from voxtool.svo.image import CHUNK, EVERY, LAYERS, UNIFORM, VoxelImage
 from voxtool.svo.slabs import THICK, Blocks, Filled, Order, slabs_of
 
 POWER = THICK.bit_length() - 1
-TALLY_BYTES = 100  # of a brick, of sums and values
+TALLY_BYTES = 100  # bytes of a brick, of sums and values
 
 
 @dataclass(frozen=True, eq=False)

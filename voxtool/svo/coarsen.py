@@ -18,7 +18,7 @@ from voxtool.svo.merge import CHILDREN, SUBTREE, Subtrees
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree, in_memory, level_number
 
-NODE_BYTES = 64  # of states, codes, counts and words, a node
+NODE_BYTES = 64  # bytes of states, codes, counts and words, a node
 
 
 def fitting_octree(

@@ -29,7 +29,7 @@ from voxtool.svo.merged import MergedOctree, states_in
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS
 
-WORD_BYTES = 4  # of a node that is drawn
+WORD_BYTES = 4  # bytes of a node that is drawn
 
 
 @dataclass(frozen=True)

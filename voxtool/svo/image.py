@@ -30,7 +30,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.slabs import THICK, Blocks, Filled, Order, slabs_of
 
 CHUNK = 1 << 21  # cells that are unpacked at once
-NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
+NODE_BYTES = 40  # bytes of lists of blocks and of counts, a node of the octree
 LAYERS = 24  # of cells, more than an export holds
 QUANTITIES = {"b": "occupancy", "u": "count", "f": "coverage"}  # by the kind of the dtype
 UNIFORM = -1  # instead of the node of a block: wholly set, or unset where the image is inverted

@@ -35,7 +35,7 @@ from voxtool.svo.merged_checks import check_subtrees, check_tables
 from voxtool.svo.octree import Octree, PointQueries
 from voxtool.svo.prune import ALL_VOXELS, kinds_of_bricks, pruned_states
 
-CHILD_BITS = np.arange(8, dtype=np.uint16)  # of a mask, which children have a link
+CHILD_BITS = np.arange(8, dtype=np.uint16)  # bits of a mask, which children have a link
 FULL_BITS = CHILD_BITS + np.uint16(8)  # and which are full
 CORNERS = morton_decode(np.arange(8))  # (8, 3): the place of each child in its parent
 NOWHERE = 1 << 30  # the low corner of the box of nothing; its high corner is -NOWHERE

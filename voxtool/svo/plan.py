@@ -14,7 +14,7 @@ from voxtool.job import Cost
 from voxtool.svo.connected.about import CONNECTED, RULE
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
-LINK_BYTES = 10  # of a node whose flips are propagated: its neighbours along x, and its flips
+LINK_BYTES = 10  # bytes of a node whose flips are propagated: its neighbours along x, and its flips
 CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
 NODE_BLOCK = 64  # voxels along a side of a block of level-1 nodes
 NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
@@ -25,7 +25,7 @@ DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense, and eight t
 CROWD = 1024  # leaves of caps near a voxel that winding numbers are summed over; at larger
 # reaches more, by their squares
 MOST_LEFT = 0.5  # share of nodes near holes without an answer up to which their bricks are expanded
-FLOOD_BYTES = 176  # of a brick in the graph of free space that a flood unites
+FLOOD_BYTES = 176  # bytes of a brick in the graph of free space that a flood unites
 FLOOD_BLOCK = 64  # voxels along a side of the blocks of which slabs consist, at least
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 

@@ -14,8 +14,8 @@ from voxtool.tets.packing import rows_for, width_for
 
 CELL_BYTES = {"raycast": 116, "projection": 104, "hexahedra": 186}  # of its textures, with vertices
 WORK_BYTES = {"raycast": 300, "projection": 280, "hexahedra": 620}  # at most about: measured
-POINT_BYTES = 150  # of a point, while coincident ones are merged
-PLANE_BYTES = {"raycast": 64, "projection": 48, "hexahedra": 96}  # of a cell's planes
+POINT_BYTES = 150  # bytes of a point, while coincident ones are merged
+PLANE_BYTES = {"raycast": 64, "projection": 48, "hexahedra": 96}  # bytes of a cell's planes
 
 
 @dataclass(frozen=True)

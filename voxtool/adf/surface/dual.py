@@ -48,7 +48,7 @@ NORMALS = np.array([0, 1, 0, 1])
 HIGH = np.array([1, 2, 2, 3])
 LOW = np.array([0, 1, 3, 0])
 NEXT = np.array([1, 2, 3, 0])
-PLACE_BITS = 24  # of a place along the boundary of a face
+PLACE_BITS = 24  # bits of a place along the boundary of a face
 
 
 @dataclass(frozen=True)

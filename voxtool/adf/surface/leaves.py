@@ -25,7 +25,7 @@ from voxtool.adf.surface.thin import ROUNDING, beside_thin, join_specks
 from voxtool.morton import morton_decode
 
 GRID_LEVEL = 8  # of the coarse grid, at most
-COORDINATE_BITS = 21  # of a vertex, in edges of the deepest leaves
+COORDINATE_BITS = 21  # bits of a vertex, in edges of the deepest leaves
 CORNERS = np.indices((2, 2, 2)).reshape(3, 8)[::-1].T  # x, y, z of the corners; x changes fastest
 
 

@@ -38,7 +38,7 @@ from voxtool.svo.scan import SEPARATING, TOUCHED, Scan, add_nodes
 from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
 
 UNITE, AREAS = "unite parts", "areas"
-SHARED_BYTES = 64  # of the union on device and host, a brick, beside its values
+SHARED_BYTES = 64  # bytes of the union on device and host, a brick, beside its values
 
 
 @dataclass(frozen=True)

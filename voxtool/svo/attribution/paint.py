@@ -29,7 +29,7 @@ class Nodes:
 
     refined : by level, from level 1 up: codes of refined nodes
     full : by level, from level 1 up: codes and ranks of inside leaves
-    codes, masks, ranks : of bricks
+    codes, masks, ranks : those of bricks
     """
 
     refined: list[list[np.ndarray]]

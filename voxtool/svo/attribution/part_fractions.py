@@ -42,7 +42,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.stored_volume import WHOLE
 
 WHY = "each part has fractions of its own"
-SHARE_BYTES = 64 * (8 + 4 + 4)  # of a brick: sums, greatest shares and their parts
+SHARE_BYTES = 64 * (8 + 4 + 4)  # bytes of a brick: sums, greatest shares and their parts
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from voxtool.svo.connected.neighbourhoods import (
 SUBFIELDS = 27
 COVERING = NEAR | BIT_OF[CENTRE]  # a covered voxel shares a face or an edge with one that stays
 ROWS = np.flatnonzero(BIT_OF & COVERING)
-HOST_BYTES = 800  # of a voxel, at peak
+HOST_BYTES = 800  # bytes of a voxel, at peak
 
 
 def neighbours_among(codes: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ class Tiles:
     The arguments of kernels, by name:
 
     word_codes : (w,) Morton codes of the words, ascending.
-    places, hash_shift : of Words.table.
+    places, hash_shift : those of Words.table.
     present, inside : (w,) sets of the present tiles and of those that are wholly inside.
     ranks : (w,) number of present tiles before each word.
     codes, masks, source : (n,) Morton code and inside samples of each present tile, and its number
@@ -74,7 +74,7 @@ class Extracted:
     """A surface on the device.
 
     cubes : number of cut cubes.
-    lost : as of count_lost.
+    lost : as count_lost returns it.
     points : (3 V,) int32 as Isosurface.points.
     triangles : (3 F,) uint32 vertices, counter-clockwise seen from outside.
     first, runs : (runs n + 1,) uint32, the numbers of vertices, of triangles or quads, and at last
