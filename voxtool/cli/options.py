@@ -205,7 +205,7 @@ clobber_options = together(
     clobber_option,
     flag("--overwrite", "Let the output replace an input of the command."),
 )
-strict_option = flag("--strict", "Exit with 1 if there is a warning of the input or the result.")
+strict_option = flag("--strict", "Exit with 1 if there is a warning about the input or the result.")
 json_option = flag("--json as_json", "Print JSON.")
 quiet_option = flag("-q --quiet", "Nothing on stderr but errors.")
 verbose_option = flag("-v --verbose", "The device, and the time of each stage, on stderr.")

@@ -112,7 +112,7 @@ OPTIONS_OF = {
         "Fields: rays find each leaf by the hash, as in adf-query, for the same picture.  "
         "[default: blocks know their children's, and nothing is searched]"),
     option("--colour", COLOUR,
-        "The surface's, #ff8000 or 1,0.5,0.  [default: light grey; of isosurfaces the map's]",
+        "Colour of the surface, #ff8000 or 1,0.5,0.  [default: light grey; isosurfaces: the map's]",
         metavar="COLOUR"),
     option("--isovalue isovalues", List(NUMBER),
         "Octrees with --level: draw the nodes of which at least the share V is set, above 0 and "

@@ -39,7 +39,7 @@ def insides(
 ) -> np.ndarray:
     """Return which points of a block have a winding number above 1/2, (n,) bool; False on the mesh.
 
-    spheres : those of boundary_spheres; distances : (n,) float64, to the mesh, in local coordinates.
+    spheres : from boundary_spheres; distances : (n,) float64, to the mesh, in local coordinates.
     """
     device, n = winding.device, block.n
     places, gaps = device.empty(3 * n, np.float64), device.empty(n, np.float64)
