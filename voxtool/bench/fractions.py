@@ -124,6 +124,6 @@ def rms(found: np.ndarray, exact: np.ndarray) -> float:
 
 
 def error_of(voxels: float, job: FractionJob) -> float:
-    """Return the error of a volume in voxels, of that of the mesh, whose vertices are not
+    """Return the error of a volume in voxels, relative to the mesh's, whose vertices are not
     rounded."""
     return abs(voxels / job.volumes.mesh - 1) if job.volumes.mesh else 0.0
