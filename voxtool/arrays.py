@@ -98,7 +98,7 @@ def aligned_empty(shape: tuple[int, ...], dtype: np.dtype | type) -> np.ndarray:
 
 
 def aligned(values: Any, dtype: np.dtype | type) -> np.ndarray:
-    """Return a copy of values in an aligned array; of signalling NaN numpy would warn."""
+    """Return a copy of values in an aligned array, without numpy's warning of signalling NaN."""
     values = np.asarray(values)
     copy = aligned_empty(values.shape, dtype)
     with np.errstate(invalid="ignore"):
@@ -113,7 +113,7 @@ def digest_of(head: dict[str, Any], *arrays: np.ndarray) -> str:
 
 
 def digest_of_blocks(head: dict[str, Any], blocks: Iterable[np.ndarray]) -> str:
-    """Return the same of arrays that come in blocks, one after the other."""
+    """Return the digest_of arrays that come in blocks, one after the other."""
     sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
     for array in blocks:
         sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)

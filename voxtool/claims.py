@@ -168,7 +168,8 @@ def release(file: str) -> None:
 
 @functools.cache
 def machine() -> str:
-    """A key of the machine, or of the container, in which numbers of processes mean something."""
+    """Return a key of the machine, or of the container, in which numbers of processes mean
+    something."""
     processes = 0
     with suppress(OSError):
         processes = os.stat("/proc/self/ns/pid").st_ino

@@ -1,6 +1,6 @@
 """Exact distances as jobs: from any points, and at the voxel centres of a grid.
 
-What is inside is decided as for voxelize (svo/inside.py). On a grid a distance is negative exactly
+The inside is that of voxelize (svo/inside.py). On a grid a distance is negative exactly
 where the voxel is set. The magnitudes are those of the unrounded mesh.
 """
 

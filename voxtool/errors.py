@@ -61,7 +61,7 @@ class DeviceWarning(VoxtoolWarning):
 
 
 def count_of(count: int, noun: str) -> str:
-    """1 vertex, 2 vertices."""
+    """Return a number with its noun: 1 vertex, 2 vertices."""
     plural = {"vertex": "vertices", "patch": "patches", "cavity": "cavities", "leaf": "leaves"}.get(
         noun, noun + "s"
     )
@@ -78,12 +78,12 @@ def printable(text: Any) -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """Another library's message, on one line of bounded length."""
+    """Return another library's message, on one line of bounded length."""
     return printable(" ".join(str(error).split()))[:200]
 
 
 def shown(word: bytes) -> str:
-    """The beginning of a word of a file, in quotes."""
+    """Return the beginning of a word of a file, in quotes."""
     return repr(word[:40].decode("ascii", "replace"))
 
 
@@ -97,7 +97,7 @@ def at_least(number: float) -> str:
 
 
 def human(size: int) -> str:
-    """Bytes as people read them: 12.3 GB."""
+    """Return the bytes as people read them: 12.3 GB."""
     value = float(size)
     for unit in ("bytes", "kB", "MB", "GB"):
         if value < 1000:

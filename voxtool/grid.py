@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FIXED_POINT_BITS = 8  # a voxel is 2**8 units of the fixed-point lattice
 FINEST_BITS = 20  # on the finest lattice: a variant of the kernels for all dims up to 512
-COORDINATE_BITS = 29  # of coordinates there, so that products of their differences fit 64 bits
+COORDINATE_BITS = 29  # bits of coordinates there, so that products of their differences fit 64 bits
 FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bits
 DEFAULT_MARGIN = 4
 IGNORED = 1 / 512  # of a voxel that a mesh reaches beyond a grid: it is rounded off

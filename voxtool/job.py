@@ -165,11 +165,11 @@ class Job(ABC, Generic[Result]):
         return self.plan.cost
 
     def describe(self) -> dict[str, Any]:
-        """The plan in JSON types, as `--plan --json` prints it."""
+        """Return the plan in JSON types, as `--plan --json` prints it."""
         return self.plan.as_dict()
 
     def with_(self, **decisions: Any) -> Self:
-        """The same job with decisions of its plan forced, for ablation and tests.
+        """Return the same job with decisions of its plan forced, for ablation and tests.
 
         Parameters
         ----------
@@ -243,23 +243,23 @@ class Job(ABC, Generic[Result]):
         """Do the work as the plan says."""
 
     def findings(self, result: Result) -> Iterable[str]:
-        """Warnings about a result, one line each: why it is empty, or what was wrong with the
-        input."""
+        """Return warnings about a result, one line each: why it is empty, or what was wrong with
+        the input."""
         return ()
 
     def notes(self, result: Result) -> Iterable[str]:
-        """Remarks on a result that are no warnings, one line each."""
+        """Return remarks on a result that are no warnings, one line each."""
         return ()
 
     def settle(self) -> None:
         """Decide now what is left open until the job runs, so that its plan can be printed."""
 
     def doubts(self, result: Result) -> Iterable[str]:
-        """Remarks on decisions about the input that another tool may take otherwise, of `notes`."""
+        """Return those of `notes` on decisions about the input that others may take otherwise."""
         return ()
 
     def details(self, result: Result) -> Iterable[str]:
-        """Remarks that only `-v` prints, one line each: on how the result was made."""
+        """Return remarks on how the result was made, one line each, which only `-v` prints."""
         return ()
 
     @contextlib.contextmanager
@@ -294,7 +294,8 @@ def one_call(
 
 
 def _outside() -> int:
-    """The stack level of the caller outside this package, so that a warning names its line."""
+    """Return the stack level of the caller outside this package, so that a warning names its
+    line."""
     package, frame, level = os.path.dirname(__file__), sys._getframe(1), 1
     while frame.f_back and frame.f_code.co_filename.startswith(package):
         frame, level = frame.f_back, level + 1

@@ -27,7 +27,7 @@ _unbounded = 0  # blocks of unbounded_memory that run
 
 @functools.cache
 def memory_groups(root: str = "/") -> list[tuple[int, Path, Path, str]]:
-    """The control groups that limit memory: limit in bytes, file of what is used, file of
+    """Return the control groups that limit memory: limit in bytes, file of what is used, file of
     statistics, and the key there of cached files.
 
     Parameters
@@ -46,7 +46,7 @@ def memory_groups(root: str = "/") -> list[tuple[int, Path, Path, str]]:
 
 
 def group_memory(root: str = "/") -> int:
-    """Bytes that the control groups still allow; UNLIMITED without a limit."""
+    """Return the bytes that the control groups still allow; UNLIMITED without a limit."""
     left = UNLIMITED
     for limit, used, statistics, cached in memory_groups(root):
         with suppress(OSError, ValueError):
@@ -59,7 +59,8 @@ def group_memory(root: str = "/") -> int:
 
 
 def address_space() -> int:
-    """Bytes of address space that `ulimit -v` still allows; UNLIMITED without a limit."""
+    """Return the bytes of address space that `ulimit -v` still allows; UNLIMITED without a
+    limit."""
     if sys.platform == "win32":
         return UNLIMITED
     import resource
@@ -71,7 +72,8 @@ def address_space() -> int:
 
 
 def mapped_memory() -> int:
-    """Bytes of address space that this process has mapped; 0 where the system does not say."""
+    """Return the bytes of address space that this process has mapped; 0 where the system does not
+    say."""
     import resource
 
     with suppress(OSError, ValueError), open("/proc/self/statm") as statistics:
@@ -133,8 +135,8 @@ def _limited(size: int) -> Iterator[None]:
 
 
 def processors(root: str = "/") -> int | None:
-    """The number of processors that the control groups' quota amounts to, at least 1; None without
-    a quota."""
+    """Return the number of processors that the control groups' quota amounts to, at least 1; None
+    without a quota."""
     quotas = []
     for folder in _groups("cpu", Path(root)):
         with suppress(OSError, ValueError):  # version 2: "max 100000" or "150000 100000"
@@ -149,7 +151,7 @@ def processors(root: str = "/") -> int | None:
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
-    """The folders of this process's control groups, from its own to the outermost.
+    """Yield the folders of this process's control groups, from its own to the outermost.
 
     A container may see its own group as the root, so folders need not exist.
     """

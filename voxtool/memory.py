@@ -16,15 +16,15 @@ _allowed: ContextVar[int | None] = ContextVar("allowed memory", default=None)
 
 
 def available_memory() -> int:
-    """Bytes of memory that this process can still take: what the machine has free, within the
-    limits of its control groups, of `ulimit -v` and of `at_most`; at most 2**60."""
+    """Return the bytes of memory that this process can still take: what the machine has free,
+    within the limits of its control groups, of `ulimit -v` and of `at_most`; at most 2**60."""
     free = min(_free_memory(), limits.group_memory(), limits.address_space())
     most = allowed_memory()
     return free if most is None else min(free, most)
 
 
 def allowed_memory() -> int | None:
-    """Bytes that `at_most` allows here; None outside of it."""
+    """Return the bytes that `at_most` allows here; None outside of it."""
     return _allowed.get()
 
 

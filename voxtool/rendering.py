@@ -33,7 +33,7 @@ Content = Octree | MergedOctree | DistanceField | TetVolume
 Scene = OctreeScene | FieldScene | VolumeScene
 
 SIZE = (512, 512)  # pixels
-RAY_BYTES = 16  # of a ray's colour and opacity, float32
+RAY_BYTES = 16  # bytes of a ray's colour and opacity, float32
 SMALLER = "choose a smaller --size or fewer --samples"
 VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
 SCENES: dict[type, Any] = {
@@ -135,7 +135,7 @@ class RenderJob(Job[np.ndarray]):
         return averaged(self.plan.scene.draw(self.rays, self.device), self.plan.samples)
 
     def findings(self, result: np.ndarray) -> Iterator[str]:
-        """Why nothing is visible, if nothing is."""
+        """Yield why nothing is visible, if nothing is."""
         most, scene = float(result[..., 3].max()), self.plan.scene
         if most >= VISIBLE:
             return

@@ -70,13 +70,14 @@ class Report:
     Attributes
     ----------
     mesh, units, source_sha256 : str
-        Of the mesh.
+        Name, units and digest of the mesh.
     diagnosis : SurfaceCheck
         The counts of edges, faces, vertices and shells.
     low, high : list of float
         Corners of the bounding box.
     dim, pitch : int, float
-        Of the grid on which the fill rules are compared.
+        Voxels along the longest side, and size of a voxel, of the grid on which the fill rules are
+        compared.
     loops : list of dict
         Every boundary loop, the longest first: edges, length, centre, size of its box, closed.
     t_junctions : bool
@@ -139,7 +140,7 @@ class Report:
     boundary: Loops
 
     def as_dict(self) -> dict[str, Any]:
-        """The report in JSON types."""
+        """Return the report in JSON types."""
         found = {JSON_NAMES.get(f.name, f.name): getattr(self, f.name) for f in fields(self)}
         del found["boundary"]
         found["diagnosis"] = self.diagnosis.as_dict()
@@ -147,7 +148,7 @@ class Report:
         return found
 
     def text(self) -> str:
-        """The report as one screen of text."""
+        """Return the report as one screen of text."""
         return "\n".join(lines(self))
 
     def __str__(self) -> str:

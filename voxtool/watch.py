@@ -109,7 +109,7 @@ def _tell(kind: int, text: str = "") -> None:
 
 
 def _wait(pipe: int) -> NoReturn:
-    """The watcher's whole life."""
+    """Read the pipe until its writer ends, clear up, and end this process."""
     code = 1
     try:
         for name in SIGNALS:

@@ -82,7 +82,7 @@ void count_edge(__global const uint *faces, __global const uint *first, uint low
         found[UNITED] += unite(roots, (uint)sides[s - 1] >> 1, (uint)sides[s] >> 1);
         const uint third = third_corner(faces, first, low, sides[s]);
         if (third < sides[s] >> 32)
-            continue; // counted at another edge, of the lowest two corners
+            continue; // counted at another edge, that of the lowest two corners
         uint other = begin;
         while (other < s && third_corner(faces, first, low, sides[other]) != third)
             ++other;

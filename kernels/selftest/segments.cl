@@ -2,7 +2,7 @@
 
 #include "tets/segment.h"
 
-// What segments of optical depths a and b at their ends weigh and let through.
+// The weights and the transmittances of segments with optical depths a and b at their ends.
 __kernel void weigh(__global const float *a, __global const float *b, __global float *w_f,
                     __global float *w_b, __global float *zeta)
 {

@@ -1,4 +1,4 @@
-// How the winding number changes beside a mesh. Host side: voxtool/spatial/boundary.py.
+// Bounds on the change of the winding number beside a mesh. Host side: voxtool/spatial/boundary.py.
 
 #include "spatial/arctangent.h"
 

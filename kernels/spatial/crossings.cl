@@ -70,7 +70,7 @@ int crossing(const line *l, const double3 *corners, double least, bool *leaves)
     return (at > 0) == (d > 0) ? 1 : -1;
 }
 
-// Which children of a node the line may meet, by the axes that separate a line and a box.
+// The children of a node that the line may meet, by the axes that separate a line and a box.
 long8 met(__global const float *nodes, uint node, const line *l)
 {
     __global const float *box = nodes + (size_t)node * (6 * ARITY);

@@ -10,11 +10,13 @@
 // The numbers of a bundle of sides of the rim, from q to r: its centre, from which these are
 // counted; its squared radius times the squared reach; the sums of r, of its products of two and of
 // three coordinates, less those of q; and the moments of the triangles between the centre and the
-// sides. Order of coefficients as in moments.h. A book has the sums of its corners q, with the
-// signs of the faces, and instead of moments the sum of the signs and the squared radius.
+// sides. Coefficients have the order of moments.h. For an edge (BOOK) the sums run over the corners q,
+// each times the sign of its face; the sum of the signs and the squared radius stand in place of the
+// moments.
 enum { CENTRE = 0, FAR = 3, ONE = 4, TWO = 7, THREE = 13, RIM = 23, NET = 23, RADIUS = 24 };
 
-// Side i of the rim: its start q, or with `way` = 3 LEAF the way from q to r; of a book its sign, 0, 0.
+// Side i of the rim: its start q, or with `way` = 3 LEAF the way from q to r, which for an edge (BOOK) is
+// the sign of the face, 0, 0.
 double3 side_of(__global const double *rim, uint i, uint way)
 {
     __global const double *leaf = rim + (size_t)(i / LEAF) * (6 * LEAF) + way + i % LEAF;
@@ -201,7 +203,7 @@ double bundle_angle(__global const double *bundle, double3 a, double3 b, double3
     return 2 * bundle[NET] * angle.x + arms_angle(bundle, a, c) - arms_angle(bundle, b, c);
 }
 #else
-// The same of a fan.
+// The solid angle of a bundle of a fan, or NAN if its parts must be summed.
 double bundle_angle(__global const double *bundle, double3 a, double3 b, double3 c, double3 spine)
 {
     if (!is_smooth(bundle, a, c))

@@ -124,10 +124,11 @@ __kernel void bound_faces(__global const double *vertices, __global const double
     uppers[gid] = distance + BY_ROOT_3 * longest;
 }
 
-// What remains of piece i, a triangle: the counts[i] triangles from parts[2 i] on. The rest is at most
-// covered[i] <= reach from triangle slots[i], and the whole piece at most uppers[i].
+// Cuts away the part of piece i, a triangle, that is within reach of triangle slots[i]: at most
+// covered[i] <= reach from it. The counts[i] triangles from parts[2 i] on remain. The whole piece is at
+// most uppers[i] away.
 //
-// The distance to a triangle is convex: what it is at most at some points, it is in their hull.
+// The distance to a triangle is convex: a bound of it at some points holds in their convex hull.
 __kernel void cut_pieces(__global const double *pieces, const uint n, __global const uint *slots,
                          __global const double *leaves, const double reach, const double slack,
                          __global double *parts, __global uchar *counts, __global double *uppers,

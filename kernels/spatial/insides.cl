@@ -1,5 +1,6 @@
-// Which points the winding number puts inside, from those of few. Points are in an order in which
-// near ones follow each other, in groups of equal size. Host side: voxtool/spatial/insides.py.
+// Points that the winding number puts inside, from the numbers of few of them. Points are in an order
+// in which near ones follow each other, in groups of equal size. Host side:
+// voxtool/spatial/insides.py.
 
 #include "spatial/boundary.h"
 #include "spatial/insides.h"

@@ -1,8 +1,8 @@
 // Boxes of nodes whose axes follow the triangles [Gottschalk 1996]. Boxes of a patch of a surface are
 // flat, so that fewer are within reach of a point. Host side: voxtool/spatial/distance.py.
 
-// Exceeds the rounding errors of places along the axes, in single precision: of a point within NEAR
-// extents 77 units of 2^-24, of half of an extent 2.
+// Exceeds the rounding errors of places along the axes, in single precision: 77 units of 2^-24 for a
+// point within NEAR extents, 2 units for half of an extent.
 #define WIDER 0x1p-17
 #define LEVEL 1e-30 // the square of an area that has no direction
 

@@ -33,8 +33,8 @@ bool divided(const plane *by, const double3 *u, uint on, int *side)
     return least * greatest <= 0;
 }
 
-// Whether edges of triangle u, without the corners in `shared`, meet triangle t; side: of its corners
-// with respect to the plane of t. Edges in the plane do not count.
+// Whether edges of triangle u, without the corners in `shared`, meet triangle t; side: on which side
+// of the plane of t each corner of u lies. Edges in the plane do not count.
 bool edges_meet(const double3 *t, const double3 *u, uint shared, const int *side)
 {
     for (uint i = 0; i < 3; ++i) {

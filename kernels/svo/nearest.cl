@@ -1,8 +1,8 @@
 // The set voxel nearest to each point, by branch and bound. Host side: voxtool/svo/query.py.
 //
-// The octree as in query.cl. The word of a node of size 2^k is WHOLE if all its voxels are set;
-// otherwise above bricks the place of its first child, and of a brick its mask, which also serves its
-// octants of 2 x 2 x 2 voxels (a byte) and its voxels (a bit).
+// The octree as in query.cl. The word of a node of size 2^k is WHOLE if all its voxels are set.
+// Otherwise it is the place of its first child above bricks, and the mask of a brick, which also serves
+// its octants of 2 x 2 x 2 voxels (a byte) and its voxels (a bit).
 //
 // Distances are between a point and centres of voxels, and rounded: sums, differences and products of
 // float64 grow with their operands, so no centre in a node is nearer than its box of centres. Which
@@ -42,7 +42,7 @@ int child_of(OCTREE, const ulong word, const int k, const uint octant, ulong *ch
     return *child != 0;
 }
 
-// How far the centres of voxels from `low` to before `high` are from a coordinate.
+// The distance of a coordinate from the centres of voxels from `low` to before `high`.
 double apart(const double coordinate, const double low, const double high)
 {
     const double below = low + 0.5 - coordinate, above = coordinate - (high - 0.5);

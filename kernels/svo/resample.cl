@@ -100,11 +100,11 @@ __kernel void cover_nodes(const uint n, __global const ulong *codes, const int w
     states[gid] = !held ? EMPTY : empty || !within ? REFINED : FULL;
 }
 
-// How much of the interval from `low` to `high` lies between two planes.
+// The length of the interval from `low` to `high` that lies between two planes.
 long overlap(long low, long high, long from, long to) { return max(min(high, to) - max(low, from), 0l); }
 
-// sums[16 k + 4 j + i] += what a cube of set voxels covers of voxel (i, j, k): its ends are
-// from[axis] and to[axis], those of the voxels planes[axis][i] and planes[axis][i + 1].
+// sums[16 k + 4 j + i] += the volume of voxel (i, j, k) that a cube of set voxels covers. The ends of
+// the cube are from[axis] and to[axis], those of the voxel planes[axis][i] and planes[axis][i + 1].
 void add_cube(long sums[64], long planes[3][5], const long from[3], const long to[3])
 {
     for (uint k = 0; k < 4; ++k) {
@@ -117,7 +117,7 @@ void add_cube(long sums[64], long planes[3][5], const long from[3], const long t
     }
 }
 
-// The same of the voxels of a brick whose low corner is at `from`, row by row.
+// Adds the voxels of a brick whose low corner is at `from`, row by row.
 void add_brick(long sums[64], long planes[3][5], ulong brick, const long from[3], const long unit[3])
 {
     long weights[3][4][4]; // of the brick's voxels by those of the grid

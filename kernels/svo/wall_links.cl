@@ -94,7 +94,7 @@ double place_on(const int3 *v, long3 n, wide out, long3 ab, long3 bc, long3 ca, 
     return to_double(height) / to_double(whole);
 }
 
-// Which children of a node may meet a box.
+// The children of a node that may meet a box.
 long8 near_box(__global const float *nodes, uint node, double3 centre, double half_side)
 {
     __global const float *box = nodes + (size_t)node * (6 * ARITY);

@@ -16,8 +16,8 @@ __kernel void renumber(__global uint *corners, const uint n, __global const uint
 
 // ---- splitting
 
-// How a kind of cell is split: quads[4 i ...], the corners of quadrilateral i; and the tetrahedra of
-// each code, templates[TEMPLATE * code ...]: how many, and four corners each.
+// The splits of a kind of cell. quads[4 i ...]: the corners of quadrilateral i; templates[TEMPLATE *
+// code ...]: the number of tetrahedra of a code, and four corners each.
 #define KIND                                                                                       \
     const uint corners, __global const uchar *quads, const uint quad_count,                        \
         __global const uchar *templates
@@ -140,8 +140,8 @@ __kernel void measure_tetrahedra(__global const uint *cells, const uint n,
     shapes[gid] = shape_of(volume, face, size, side) | (doubtful ? DOUBTFUL : 0);
 }
 
-// How far vertices of a hexahedron are from the plane of their face, or outside another face, at
-// most. `way` is the sign of its volume.
+// The largest distance of vertices of a hexahedron from the plane of their face, or outside another
+// face. `way` is the sign of its volume.
 double bend_of(const double3 *corner, const double way, double *size)
 {
     double bent = 0;
@@ -240,7 +240,7 @@ __kernel void find_repeated(__global const uint *cells, const uint corners, cons
     repeated[items[gid]] = found;
 }
 
-// What becomes of each cell, and keep[i] = 1 where it stays.
+// Decides the outcome of each cell, and sets keep[i] = 1 where it stays.
 __kernel void judge(__global const uchar *shapes, __global const uchar *repeated, const uint n,
                     __global uchar *outcomes, __global uint *keep)
 {

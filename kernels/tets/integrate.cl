@@ -5,8 +5,8 @@
 #include "tets/integrators.h"
 #include "tets/transfer.h"
 
-// One work-item an entry of the table, SCALARS x SCALARS x LENGTHS of red, green, blue, premultiplied,
-// and alpha: of the scalar in front, behind, and the length up to `longest`, the last changing fastest.
+// One work-item an entry of the table, which has premultiplied red, green, blue, and alpha for each of
+// SCALARS scalars in front, SCALARS behind, and LENGTHS lengths up to `longest`, which change fastest.
 __kernel void preintegrate(__global const float *points, __global const float *rows, const int count,
                            const float longest, __global float *table)
 {

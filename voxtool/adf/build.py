@@ -244,9 +244,9 @@ def _is_warned(survey: Survey, plan: FieldPlan) -> bool:
 class _Build:
     """A field under construction: the blocks of the levels built so far, and the next level.
 
-    parts : of the next level, the refined children of one window each; ranks : of the level above.
-    stores : makes a store, or None; waiting : the store of the level that is made, and stored : of
-    all voxels, or None while they are in memory.
+    parts : the refined children of one window each, in the next level; ranks : those of the level
+    above. stores : makes a store, or None; waiting : the store of the level that is made; stored :
+    that of all voxels, or None while they are in memory.
     """
 
     def __init__(

@@ -61,7 +61,7 @@ class DistanceField(Data):
     bounds : (n, 2, 2, 2) uint8, or None
         [block, z, y, x], codes of bound_values.
     origin, side : tuple of float, float
-        Of the cube, in world units: world = origin + side * point.
+        Low corner and side of the cube, in world units: world = origin + side * point.
     sign : str
         Method of the sign, one of voxtool.choices.FIELD_SIGNS, or GIVEN.
     tolerance, max_level, band : float, int, float
@@ -72,10 +72,10 @@ class DistanceField(Data):
         The steepest slope in any leaf without a sign discontinuity.
     reached : dict
         JSON types: "leaves", their number; "missed", the number of leaves whose error exceeds the
-        tolerance though smaller leaves would help, and if there are any, "worst": the largest error
-        of these, its level, and its position (world units); "medial", if there are any, the
+        tolerance though smaller leaves would help, and if there are any, "worst": their largest
+        error, its level, and its position (world units); "medial", if there are any, the
         "leaves" over the tolerance along the medial axis, how many of them were "left" before the
-        last level, and the same of the largest error of these; "thin", if there are any, the
+        last level, and the "worst" of them in the same way; "thin", if there are any, the
         "leaves" that are thicker than the mesh there and do not have its signs, and the mesh's
         "shells" and "volume" (cubic world units); "kept", the number of hanging vertices of blocks
         that keep their distances, where coarser leaves have the other sign; "unproved", with a
@@ -135,7 +135,7 @@ class DistanceField(Data):
 
     @cached_property
     def identifiers(self) -> np.ndarray:
-        """(m, m, m) uint32 or uint64: of the cell in each slot; 0 where it is free."""
+        """(m, m, m) uint32 or uint64: the identifier of the cell in each slot, 0 in a free one."""
         return identifiers_in(self.cells)
 
     @cached_property
@@ -237,7 +237,8 @@ class DistanceField(Data):
         return digest_of(head, *arrays, *([] if self.bounds is None else [self.bounds]))
 
     def summary(self) -> dict[str, Any]:
-        """Counts and sizes in JSON types; origin and side in world units, lengths in sides.
+        """Return the counts and sizes in JSON types; origin and side in world units, lengths in
+        sides.
 
         `saved` has the two savings of [ADF]: of section 3.1, the blocks against eight float32 a
         leaf or, as it counts there, a cell; of section 3.2, the slots of cells that have blocks

@@ -69,7 +69,7 @@ class ImageCube:
     Attributes
     ----------
     grid : Grid
-        Of the image, whose samples are at the centres of the voxels.
+        The image's grid; its samples are at the centres of the voxels.
     """
 
     grid: Grid
@@ -148,7 +148,7 @@ def field_of_image(
     values : (nx, ny, nz) float
         The distances at the centres of the voxels, world units, negative inside.
     grid : Grid
-        Of the voxels.
+        The grid of the voxels.
     tolerance : float
         Difference of a cell from the image's trilinear interpolation, in sides of the cube, at
         which it is no longer refined.
@@ -156,7 +156,7 @@ def field_of_image(
         Level at which leaves are no longer refined; by default that of the samples, and two more
         where these are no vertices of cells.
     max_texture, units, source_sha256
-        As of DistanceField and voxtool.build_adf.
+        As in DistanceField and voxtool.build_adf.
     device, max_memory
         As in voxtool.build_adf.
     progress : callable

@@ -48,7 +48,7 @@ from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import radix_sort
 
 SOURCE = "adf/hashing.cl"
-SLOT_BITS = 10  # of a slot along an axis: m is at most 1024
+SLOT_BITS = 10  # bits of a slot along an axis: m is at most 1024
 KEYS_AN_OFFSET = 6  # n / 2d offsets to begin with: 4 bits a key where an offset has 24
 SCATTERED_KEYS = 4  # keys an offset: the fewest for which buckets are scattered
 CHOICE = 15  # expected places of the last bucket of each size, at least, to scatter buckets

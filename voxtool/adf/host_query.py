@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.adf.stored_field import StoredField
 
-POINT_BITS = 32  # of a coordinate in the cube
-WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
+POINT_BITS = 32  # bits of a coordinate in the cube
+WEIGHT_BITS = 24  # bits of the fraction within a cell that a weight in float32 takes
 CORNERS = np.array([0, 1, 3, 4, 9, 10, 12, 13])  # of a block's first child, among its vertices
 AT_ONCE = 1 << 14  # points that are searched for at once, in memory that fits caches
 CHUNK = 1 << 12  # points that are rounded at once, in memory that fits caches

@@ -121,17 +121,20 @@ class Level:
     root has level 0.
 
     arrays : by the names of the kernels' parameters, as far as the stages have computed them:
-        identifiers : uint64, rising; sources : uint32, which child of the cells whose arrays are
-            OF_PARENTS each cell is.
-        begins, items : uint32, where the list of each cell begins, and the triangles of all lists.
-        masks, needed : uint8 an item, the children that need it; uint32 a child, its number of
-            items.
-        values, centres : float64, 27 and 8 a cell, the distances of its block and at the centres of
-            its children, in the frame.
-        places, sided : uint32, 27 a cell, the nearest triangles, and where some have no area the
-            nearest that have one, as indices of `items`.
-        states, doubts, asked : uint8, the side of the mesh of each cell; uint32, the vertices of
-            its block whose signs are unknown, and those whose winding numbers are computed.
+        identifiers : uint64, rising.
+        sources : uint32, which child of the cells whose arrays are OF_PARENTS each cell is.
+        begins : uint32 for each cell, where its list begins in `items`.
+        items : uint32, the triangles of all lists.
+        masks : uint8 for each item, a bit for each child that needs it.
+        needed : uint32 for each child, the number of items that it needs.
+        values : float64, 27 for each cell, the distances of its block, in the frame.
+        centres : float64, 8 for each cell, the distances at the centres of its children.
+        places : uint32, 27 for each cell, the nearest triangles, as indices of `items`.
+        sided : uint32, 27 for each cell, the nearest triangles that have an area, where some have
+            none.
+        states : uint8 for each cell, its side of the mesh.
+        doubts : uint32 for each cell, the vertices of its block whose signs are unknown.
+        asked : uint32 for each cell, the vertices whose winding numbers are computed.
         neighbours : uint32, 27 a cell, see find_neighbours.
         strays : float32, 27 a cell, the changes of its vertices by constraining.
         ranks : uint32, a child: whether it is refined, then the number of refined children before
@@ -175,7 +178,7 @@ def _options(plan: FieldPlan) -> dict[str, int | str]:
 class Construction:
     """The data that the stages of all levels share.
 
-    arguments : of kernels, by name; options : of kernels; steepest : uint32, the bits of the
+    arguments : the kernels', by name; options : the kernels'; steepest : uint32, the bits of the
     steepest slope of a leaf; unbalanced : uint32, whether a leaf has a neighbour that is coarser by
     two levels; kept : uint32, the hanging vertices that keep their distances.
     """

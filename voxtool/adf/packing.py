@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
 
 VERTICES, CHILDREN = 3, 2  # of a block along an axis: texels of its voxels and of its bounds
-POINTER_BITS = 10  # of a place along an axis
+POINTER_BITS = 10  # bits of a place along an axis
 
 
 def arrangement(n: int) -> tuple[int, int, int]:

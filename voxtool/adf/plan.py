@@ -24,20 +24,20 @@ from voxtool.choices import (
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Plan
 
-VOXEL_BYTES = 27 * 4  # of a block
+VOXEL_BYTES = 27 * 4  # bytes of a block
 BLOCK_BYTES = VOXEL_BYTES + 8 + 8 + 1  # and cell, bounds, and about as much of the hash
-HASH_BYTES = 86  # of a block, while the hash is made
+HASH_BYTES = 86  # bytes of a block, while the hash is made
 NARROW_LEVEL = 11  # leaves up to this level have parents with 32-bit identifiers
 WINDOW = 1 << 16  # cells that are sampled and examined at once
 LEAST_WINDOW = 1 << 10  # the same where memory is short
 PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
 GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
-CELL_BYTES = 27 * (8 + 3 * 4 + 8) + 8 + 2 * 4 + 16 + 8 * (8 + 3 * 4 + 2)  # of a refined cell
+CELL_BYTES = 27 * (8 + 3 * 4 + 8) + 8 + 2 * 4 + 16 + 8 * (8 + 3 * 4 + 2)  # bytes of a refined cell
 SIDED_BYTES = 27 * 4  # more where triangles without area are left out of signs
 LEFT_BYTES = 27 * (8 + 4) + 1 + 2 * 8  # what a cell leaves to its children, and theirs, about
 RANK_BYTES = 2 * 8 * 4  # the flags and ranks of its children
 ITEM_BYTES = 5  # a triangle in a list, and its mask
-BALL_BYTES = 1  # of a triangle in a list while it is sampled, beside CELL_BYTES
+BALL_BYTES = 1  # bytes of a triangle in a list while it is sampled, beside CELL_BYTES
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 SOURCE = "adf/raycast.cl"
 COLOUR = (0.86, 0.82, 0.76)  # a warm light grey
 TILE = 8  # a work-group draws TILE x TILE packets of rays
-NODE_BYTES = 8  # of a block's children and their bits
+NODE_BYTES = 8  # bytes of a block's children and their bits
 OUTER, INNER = 8, 16  # the first bit of those for rays that start outside, and inside
 
 HEADERS = {"adf/raycast.h": program.c_constants(TILE=TILE, OUTER=OUTER, INNER=INNER)}

@@ -22,7 +22,7 @@ from voxtool.grid import Grid
 from voxtool.opencl import Device
 
 AT_ONCE = 1 << 19  # samples that are queried at once
-SAMPLE_BYTES = 96  # of host and device: the points, what a query holds of them, and two slabs
+SAMPLE_BYTES = 96  # on host and device: the points, what a query holds of them, and two slabs
 
 
 def cells_along(source: DistanceField, most: int) -> int:

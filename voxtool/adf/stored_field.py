@@ -32,7 +32,7 @@ class StoredField:
         Rows along z of the textures of a file, which is open; bounds may be None.
     places : (3,) int
         Blocks along x, y and z of the texture.
-    cells, hash, origin, side : as of DistanceField, but the numbers of blocks are pointers.
+    cells, hash, origin, side : as in DistanceField, but the numbers of blocks are pointers.
     """
 
     voxels: Slices
@@ -51,7 +51,7 @@ class StoredField:
 
     @cached_property
     def identifiers(self) -> np.ndarray:
-        """(m, m, m) uint32 or uint64: of the cell in each slot; 0 where it is free."""
+        """(m, m, m) uint32 or uint64: the identifier of the cell in each slot, 0 in a free one."""
         return identifiers_in(self.cells)
 
     @cached_property

@@ -148,8 +148,8 @@ def plan_keep_components(
     octree
         an Octree or a path.
     largest
-        how many components stay at most; of two of one size the one whose first voxel is earlier
-        in Morton order. By default all that are large enough.
+        how many components stay at most. If two have the same size, the one whose first voxel is
+        earlier in Morton order stays. By default all that are large enough.
     min_size
         voxels that a component has at least, or it goes.
     neighbours

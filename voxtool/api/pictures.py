@@ -138,17 +138,17 @@ def plan_render(
     device, max_memory
         As in voxelize.
     **options
-        Of an octree `level` ("voxel", or a level from 0 on), with a level `isovalue` (the least
-        share of a node that is set; by default any), `colour`, `other` (an octree of
-        the same grid, for a picture of what only one of them has), `colour_by` ("label",
-        "colour", "normal", "fraction" or "none": the attribute whose colours are drawn; by
-        default the colour, or else the label, if there is one) and `only` (names of labels that
-        are drawn alone); of a field `offset`
-        (world units), `search` ("linear", "binary", "coherent" or "bottom-up", for the same
-        picture) and `colour`; of a volume `transfer` (a TransferFunction), `method`
-        ("raycast" or "projection"), `integrator` ("linear", "preintegrated", "average" or
-        "sampled:N"), `isovalues` (scalars whose surfaces are drawn; alone, if there is no
-        `transfer`), and their `opacity` and `colour`.
+        For an octree: `level` ("voxel", or a level from 0 on), with a level `isovalue` (the least
+        share of a node that is set; by default any), `colour`, `other` (an octree of the same grid,
+        for a picture of what only one of them has), `colour_by` ("label", "colour", "normal",
+        "fraction" or "none": the attribute whose colours are drawn; by default the colour, or else
+        the label, if there is one) and `only` (names of labels that are drawn alone).
+        For a field: `offset` (world units), `search` ("linear", "binary", "coherent" or
+        "bottom-up", for the same picture) and `colour`.
+        For a volume: `transfer` (a TransferFunction), `method` ("raycast" or "projection"),
+        `integrator` ("linear", "preintegrated", "average" or "sampled:N"), `isovalues` (scalars
+        whose surfaces are drawn; alone, if there is no `transfer`), and their `opacity` and
+        `colour`.
 
     Returns
     -------
@@ -189,7 +189,7 @@ render = one_call(plan_render, "render", np.ndarray)
 
 
 def _repr_png_(self: Any) -> bytes | None:
-    """The picture that a notebook shows: PNG, or None where none can be made."""
+    """Return the picture that a notebook shows: PNG, or None where none can be made."""
     with suppress(Exception), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         content = self

@@ -40,9 +40,10 @@ def plan_view(
     up : three floats
         What is up: a direction.
     level : int or "voxel"
-        Of octrees: the finest nodes of the page; those of a level are cubes.
+        The finest nodes on the page of an octree; those of a level are cubes.
     isovalue : float, optional
-        Of octrees: the least share of a node above voxels that is set, at first; by default any.
+        The least share of a node above voxels that is set, on the page of an octree, at first; by
+        default any.
     max_memory : int, optional
         Bytes that the work may take; by default what the machine has.
 
@@ -88,9 +89,10 @@ def view(
     up : three floats
         What is up: a direction.
     level : int or "voxel"
-        Of octrees: the finest nodes of the page; those of a level are cubes.
+        The finest nodes on the page of an octree; those of a level are cubes.
     isovalue : float, optional
-        Of octrees: the least share of a node above voxels that is set, at first; by default any.
+        The least share of a node above voxels that is set, on the page of an octree, at first; by
+        default any.
 
     Returns
     -------

@@ -78,7 +78,7 @@ def compare(
     same: Callable[[T, T], bool],
     sizes: Mapping[str, int] | None = None,
 ) -> Iterator[Ablation]:
-    """An ablation for each entry of `forced`.
+    """Yield an ablation for each entry of `forced`.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def of_job(
     bench: Bench,
     work: str,
 ) -> Iterator[Ablation]:
-    """An ablation for each name in the job's `left_out` that `decisions` can undo."""
+    """Yield an ablation for each name in the job's `left_out` that `decisions` can undo."""
     others = {what: job.with_(**decisions[what]) for what in job.left_out if what in decisions}
     own = job.plan.cost.device
     sizes = {what: other.plan.cost.device - own for what, other in others.items()}
@@ -115,12 +115,12 @@ def _same_voxels(planned: Octree, forced: Octree) -> bool:
 
 
 def of_left_out_voxels(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]:
-    """Ablations of what the plan of a voxelization leaves out."""
+    """Yield ablations of what the plan of a voxelization leaves out."""
     yield from of_job(job, VOXELIZE, _same_voxels, bench, work)
 
 
 def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]:
-    """Ablations of a voxelization: what its plan leaves out, and other methods."""
+    """Yield ablations of a voxelization: what its plan leaves out, and other methods."""
     yield from of_left_out_voxels(job, bench, work)
     others = {what: job.with_(**decision) for what, (decision, _) in METHODS.items()}
     if not job.plan.by_rows:
@@ -133,7 +133,7 @@ def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]
 
 
 def of_extract(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:
-    """Ablations of an extraction by marching cubes: its cubes away from nodes, and histogram
+    """Yield ablations of an extraction by marching cubes: its cubes away from nodes, and histogram
     pyramids in place of the scan, each where it fits in memory."""
     yield from of_cubes(job, bench, work)
     others = {what: job.with_(compaction=name) for what, name in PYRAMIDS.items()}
@@ -143,7 +143,7 @@ def of_extract(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:
 
 
 def of_cubes(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:
-    """The ablation of an extraction's cubes away from nodes, if all cubes fit in memory."""
+    """Yield the ablation of an extraction's cubes away from nodes, if all cubes fit in memory."""
     if _fits(job.with_(naive=True), bench):
         yield from of_job(job, EXTRACT, _same_surface, bench, work)
 
@@ -157,7 +157,7 @@ def _fits(job: ExtractJob, bench: Bench) -> bool:
 
 
 def of_field(job: Job[DistanceField], bench: Bench, work: str) -> Iterator[Ablation]:
-    """Ablations of the build of a field; a field without signs has none."""
+    """Yield ablations of the build of a field; a field without signs has none."""
 
     def same(planned: DistanceField, forced: DistanceField) -> bool:
         return replace(forced, sign=planned.sign).digest() == planned.digest()
@@ -167,7 +167,7 @@ def of_field(job: Job[DistanceField], bench: Bench, work: str) -> Iterator[Ablat
 
 
 def of_picture(job: RenderJob, bench: Bench, work: str) -> Iterator[Ablation]:
-    """Ablations of a later frame of a volume."""
+    """Yield ablations of a later frame of a volume."""
     scene: Any = job.plan.scene
     every = {"kept": np.ones_like(scene.blocks)}
     yield from of_job(job, {TRANSPARENT: every}, np.array_equal, bench, work)
@@ -176,7 +176,8 @@ def of_picture(job: RenderJob, bench: Bench, work: str) -> Iterator[Ablation]:
 def of_queries(
     field: DistanceField, points: np.ndarray, bench: Bench, work: str
 ) -> Iterator[Ablation]:
-    """Ablations of distances at points: the parts that the textures of a field do not hold."""
+    """Yield ablations of distances at points: the parts that the textures of a field do not
+    hold."""
     table, reasons, fields = field.hash, {}, {}
     if field.cells.shape[-1] == 2:
         reasons[WIDE] = f"leaves end at level {field.depth}"

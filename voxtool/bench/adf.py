@@ -50,7 +50,7 @@ WORK = {  # by kind of points
 
 
 def measure(bench: Bench) -> Iterator[Point | Ablation]:
-    """The points and ablations of a model."""
+    """Yield the points and ablations of a model."""
     asked, mesh = bench.request, load_mesh(bench.model)
     distances = list(_exact_distances(mesh, bench))
     fields: list[DistanceField] = []
@@ -89,7 +89,7 @@ def _plan(
 
 
 def _build(mesh: Mesh, level: int, tolerance: float, bench: Bench) -> tuple[Point, DistanceField]:
-    """A field, and the point of its build."""
+    """Return a field, and the point of its build."""
     asked, timed = bench.request, bench.timed
     job = _plan(mesh, timed, asked, level, tolerance)
     field = job.run()
@@ -120,7 +120,7 @@ def _build(mesh: Mesh, level: int, tolerance: float, bench: Bench) -> tuple[Poin
 
 
 def _hash(method: str, label: str, keys: np.ndarray, bench: Bench) -> Point:
-    """The point of a perfect hash of (n, 3) keys."""
+    """Return the point of a perfect hash of (n, 3) keys."""
     n, build = len(keys), partial(build_hash, keys, bench.timed)
     table = build()
     return bench.point(
@@ -132,7 +132,7 @@ def _hash(method: str, label: str, keys: np.ndarray, bench: Bench) -> Point:
 
 
 def sphere_keys(last: int) -> np.ndarray:
-    """(n, 3) int64: the keys of the cells of levels 0 to `last` that meet the surface of a
+    """Return (n, 3) int64: the keys of the cells of levels 0 to `last` that meet the surface of a
     sphere."""
     octants = np.indices((2, 2, 2)).reshape(3, 8).T
     centre = np.array([0.5, 0.48, 0.51])  # symmetric to no cell
@@ -156,7 +156,7 @@ def sphere_keys(last: int) -> np.ndarray:
 class _Exact:
     """Exact distances at points of one kind.
 
-    places : (n, 3) float64, world points; distances : (n,) float64; side : of the cube.
+    places : (n, 3) float64, world points; distances : (n,) float64; side : the cube's.
     points : the measurements of exact distances and of other tools, in this order.
     """
 
@@ -166,12 +166,12 @@ class _Exact:
     points: list[Point]
 
     def compared(self, found: np.ndarray) -> tuple[dict[str, float], dict[str, Any]]:
-        """The errors of distances at the points, and the figures of their signs."""
+        """Return the errors of distances at the points, and the figures of their signs."""
         return distances_compared(found, self.distances, self.side)
 
 
 def _exact_distances(mesh: Mesh, bench: Bench) -> Iterator[_Exact]:
-    """The exact distances, and other tools, at the points of each kind."""
+    """Yield the exact distances, and other tools, at the points of each kind."""
     asked, others = replace(bench.request, peers=True), timing.Peers(bench.request.repeat)
     exact = plan_distance(mesh, fill=asked.fill, device=bench.timed).run()
     build = build_seconds(mesh, bench)
@@ -199,7 +199,7 @@ def _exact_distances(mesh: Mesh, bench: Bench) -> Iterator[_Exact]:
 
 
 def _queries(built: Point, field: DistanceField, exact: _Exact, bench: Bench) -> Iterator[Point]:
-    """A point for each search of a field."""
+    """Yield a point for each search of a field."""
     places, alone = exact.places, exact.points[0]
     asks = {device: FieldQuery(field, device) for device in (bench.timed, bench.profiled)}
     spent = built.seconds + (built.figures["upload"] or 0) - (alone.figures["build"] or 0)
@@ -219,14 +219,14 @@ def _queries(built: Point, field: DistanceField, exact: _Exact, bench: Bench) ->
 
 
 def break_even(spent: float, saved: float) -> float | None:
-    """The number of runs after which the seconds saved in each make up for the seconds spent; None
-    if no time is saved."""
+    """Return the number of runs after which the seconds saved in each make up for the seconds
+    spent; None if no time is saved."""
     return None if saved <= 0 else max(0.0, spent / saved)
 
 
 def points_of(mesh: Mesh, request: Request) -> dict[str, np.ndarray]:
-    """(n, 3) float64 world points in the cube of a mesh, by kind: "random" are quasi-random, as
-    many as the request asks for; "rays" lie along rays, in order, and fill the last ray."""
+    """Return (n, 3) float64 world points in the cube of a mesh, by kind: "random" are quasi-random,
+    as many as the request asks for; "rays" lie along rays, in order, and fill the last ray."""
     origin, side = cube_of(mesh)
     step = 0.5 ** (max(request.levels) + 1)
     makers = {
@@ -237,8 +237,8 @@ def points_of(mesh: Mesh, request: Request) -> dict[str, np.ndarray]:
 
 
 def rays_through_cube(count: int, step: float) -> np.ndarray:
-    """(rays, n, 3) float64: points of the unit cube, `step` apart along parallel rays, at least
-    `count` together; row by row, like the pixels of a picture.
+    """Return (rays, n, 3) float64: points of the unit cube, `step` apart along parallel rays, at
+    least `count` together; row by row, like the pixels of a picture.
 
     The rays run along DIRECTION, from z = 0 to z = 1, and none leaves the cube before.
     """

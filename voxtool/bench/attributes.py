@@ -38,10 +38,10 @@ TOO_LARGE = {"wrong": f"labels are compared up to dim {DENSE_DIM}"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model: its solid without and with labels of its shells, with colours of its
-    vertices, and with those of voxels alone that its surface meets; its surface without attributes,
-    with areas, with normals, with colours of its vertices, and with colours and normals; and the
-    meshes of labels and of colours."""
+    """Yield the points of a model: its solid without and with labels of its shells, with colours of
+    its vertices, and with those of voxels alone that its surface meets; its surface without
+    attributes, with areas, with normals, with colours of its vertices, and with colours and
+    normals; and the meshes of labels and of colours."""
     mesh = load_mesh(bench.model)
     painted = with_colours(mesh)
     for dim in bench.request.dims:
@@ -91,7 +91,8 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def surfaces(octree: Octree, timed: Device, row: Any) -> Iterator[Point]:
-    """The points of the surfaces of an octree with labels or colours, and of those without."""
+    """Yield the points of the surfaces of an octree with labels or colours, and of those
+    without."""
     what = octree.attributes[0].name
     for style in LABEL_STYLES if what == "label" else (VOXEL_FACES,):  # others need an inside
 
@@ -114,7 +115,8 @@ def surfaces(octree: Octree, timed: Device, row: Any) -> Iterator[Point]:
 
 
 def errors_of(made: Any, octree: Octree) -> dict[str, float]:
-    """The volume that the surface lacks of the voxels', and of labels the meshes that are open."""
+    """Return the volume that the surface lacks of the voxels', and the number of open meshes if
+    there are labels."""
     whole = octree.count * octree.grid.voxel_volume
     if not isinstance(made, LabelledSurface):
         a, b, c = np.moveaxis(made.vertices[made.faces], 1, 0)
@@ -126,7 +128,7 @@ def errors_of(made: Any, octree: Octree) -> dict[str, float]:
 
 
 def with_colours(mesh: Mesh) -> Mesh:
-    """The mesh with a colour at each vertex, by its place in the mesh's box."""
+    """Return the mesh with a colour at each vertex, by its place in the mesh's box."""
     low, high = mesh.bounds
     colours = np.ones((len(mesh.vertices), 4))
     colours[:, :3] = np.clip((mesh.vertices - low) / np.maximum(high - low, 1e-300), 0, 1)
@@ -135,24 +137,25 @@ def with_colours(mesh: Mesh) -> Mesh:
 
 
 def with_attributes(plan: Any, mesh: Mesh, *names: str, device: Device) -> Job[Octree]:
-    """The job of a surface and attributes of it."""
+    """Return the job of a surface and attributes of it."""
     return plan_attributes(plan(device=device), mesh, names, device=device)
 
 
 def on_surface(plan: Any, mesh: Mesh, *, device: Device) -> Job[Octree]:
-    """The job of a solid with colours of the voxels that its surface meets."""
+    """Return the job of a solid with colours of the voxels that its surface meets."""
     return with_attributes(plan, mesh, "colour", device=device).with_(exposed=False)
 
 
 def area_of(mesh: Mesh, grid: Grid) -> float:
-    """The area of a mesh on the lattice of 1/256 voxel."""
+    """Return the area of a mesh on the lattice of 1/256 voxel."""
     corners = grid.to_fixed(mesh.vertices)[mesh.faces] / UNIT * grid.pitch
     a, b, c = np.moveaxis(corners, 1, 0)
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
 def wrong_labels(job: PartLabelsJob, octree: Octree) -> int:
-    """The voxels whose label is not that of the first part that sets it, each voxelized alone."""
+    """Return the voxels whose label is not that of the first part that sets it, each voxelized
+    alone."""
     expected = np.zeros(job.grid.shape, np.int64)
     for part in job.own.parts[::-1].tolist():
         alone = plan_voxelize(job.own.alone(part, job.mesh), job.grid, device=job.device, **PARITY)
@@ -161,6 +164,6 @@ def wrong_labels(job: PartLabelsJob, octree: Octree) -> int:
 
 
 def label_numbers(octree: Octree) -> np.ndarray:
-    """The label of each voxel from 1 on, and 0 of unset ones, (nx, ny, nz)."""
+    """Return the label of each voxel from 1 on, and 0 of unset ones, (nx, ny, nz)."""
     image = AttributeImage(VoxelImage.of(octree), "label")
     return np.concatenate(list(image.slabs())).astype(np.int64)

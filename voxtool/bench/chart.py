@@ -61,8 +61,8 @@ class Chart:
 
 
 def charts(points: Sequence[Point], name: str) -> list[Chart]:
-    """The drawings of the points of one chart: error against time, cost against size, and stages;
-    each if it was measured."""
+    """Return the drawings of the points of one chart: error against time, cost against size, and
+    stages; each if it was measured."""
     drawings = {
         "error": (draw_error, any(point.error is not None for point in points)),
         "cost": (draw_cost, bool(cost_lines(points))),
@@ -74,7 +74,7 @@ def charts(points: Sequence[Point], name: str) -> list[Chart]:
 
 
 def ablation_charts(ablations: Sequence[Ablation]) -> list[Chart]:
-    """The time that plans saved by what they left out, a chart for each bench and model."""
+    """Return the time that plans saved by what they left out, a chart for each bench and model."""
     return [
         _chart(draw_ablations, found, slug(f"{bench}-{model}-saved"))
         for (bench, model), found in grouped(ablations, lambda one: (one.bench, one.model)).items()
@@ -82,12 +82,13 @@ def ablation_charts(ablations: Sequence[Ablation]) -> list[Chart]:
 
 
 def lines_chart(lines: Lines, heading: str, of: str) -> Chart:
-    """The chart of milliseconds against a number, `of` what, with bars as long as spreads."""
+    """Return the chart of milliseconds against a number, `of` what, with bars as long as
+    spreads."""
     return _chart(partial(_draw_lines, heading=heading, of=of), lines, slug(heading))
 
 
 def slug(text: str) -> str:
-    """A file name for a title, such as "voxelize-bunny-obj-mesh-to-voxels"."""
+    """Return a file name for a title, such as "voxelize-bunny-obj-mesh-to-voxels"."""
     return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")[:100]
 
 
@@ -123,7 +124,7 @@ def _chart(draw: Any, points: Any, name: str) -> Chart:
 
 
 def inline(svg: str) -> str:
-    """An SVG file as an element of a page: without its head, and in the page's colours."""
+    """Return an SVG file as an element of a page: without its head, and in the page's colours."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"\s*<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg)
@@ -137,7 +138,7 @@ def inline(svg: str) -> str:
 
 
 def draw_error(figure: Any, points: Sequence[Point]) -> None:
-    """Error against time, one line a method, the Pareto front marked."""
+    """Draw error against time, one line a method, with the Pareto front marked."""
     plot = _logarithmic(figure)
     errors = [point.error for point in points if point.error is not None and point.error > 0]
     floor = min(errors, default=1e-6) / 4  # errors of 0 are drawn here
@@ -181,7 +182,7 @@ def draw_error(figure: Any, points: Sequence[Point]) -> None:
 
 
 def draw_cost(figure: Any, points: Sequence[Point]) -> None:
-    """Seconds against size, with the exponents that fit."""
+    """Draw seconds against size, with the exponents that fit."""
     plot = _logarithmic(figure)
     fitted, methods = exponents(points), list(methods_of(points))
     for method, line in cost_lines(points).items():
@@ -220,7 +221,7 @@ def _draw_lines(figure: Any, lines: Lines, *, heading: str, of: str) -> None:
 
 
 def draw_stages(figure: Any, points: Sequence[Point]) -> None:
-    """A bar of the stages on the device for the slowest setting of each method."""
+    """Draw a bar of the stages on the device for the slowest setting of each method."""
     known = methods_of(point for point in points if point.stages)
     bars = [max(found, key=lambda p: p.seconds) for found in known.values()]
     plot = _bars(figure, [(p.method, p.label) for p in bars])
@@ -239,8 +240,8 @@ def draw_stages(figure: Any, points: Sequence[Point]) -> None:
 
 
 def draw_ablations(figure: Any, ablations: Sequence[Ablation]) -> None:
-    """The time with a decision forced over the time as planned: a bar for each, from 1, and the
-    range of the repeats."""
+    """Draw the time with a decision forced over the time as planned: a bar for each, from 1, and
+    the range of the repeats."""
     plot = _bars(figure, [(one.what, one.work) for one in ablations])
     ratios = []
     for row, one in enumerate(ablations):
@@ -263,12 +264,12 @@ def draw_ablations(figure: Any, ablations: Sequence[Ablation]) -> None:
 
 
 def plain(text: str) -> str:
-    """The text, escaped so that matplotlib prints it unchanged."""
+    """Return the text, escaped so that matplotlib prints it unchanged."""
     return printable(text).replace("$", r"\$")
 
 
 def _logarithmic(figure: Any) -> Any:
-    """Axes with two logarithmic scales, with plain numbers: formulas take long to be set."""
+    """Return axes with two logarithmic scales, with plain numbers: formulas take long to be set."""
     from matplotlib.ticker import LogFormatter
 
     class Plain(LogFormatter):
@@ -285,7 +286,7 @@ def _logarithmic(figure: Any) -> Any:
 
 
 def _bars(figure: Any, names: Sequence[tuple[str, str]]) -> Any:
-    """Axes for one horizontal bar for each name, which has two lines; from the top down."""
+    """Return axes for one horizontal bar for each name, which has two lines; from the top down."""
     figure.set_size_inches(WIDTH, REST + BAR * len(names))
     plot = figure.add_subplot()
     plot.grid(True, axis="x")

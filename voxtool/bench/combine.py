@@ -35,7 +35,7 @@ FUNCTIONS = {
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     mesh = load_mesh(bench.model)
     for dim in bench.request.dims:
         grid = Grid.fit(mesh, dim)
@@ -70,14 +70,14 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def mirrored(mesh: Mesh) -> Mesh:
-    """The mirror image of a mesh in its box, along z; most models are symmetric along x."""
+    """Return the mirror image of a mesh in its box, along z; most models are symmetric along x."""
     vertices = mesh.vertices.copy()
     vertices[:, 2] = mesh.bounds[:, 2].sum() - vertices[:, 2]
     return mesh_from_arrays(vertices, mesh.faces[:, ::-1])
 
 
 def compared(bench: Bench, octrees: list[Octree], dense: list[np.ndarray], dim: int) -> Point:
-    """The comparison of two octrees; `wrong` counts the voxels of all three parts."""
+    """Return the comparison of two octrees; `wrong` counts the voxels of all three parts."""
     found = compare(*octrees, device=bench.timed)
     errors = {}
     if dense:

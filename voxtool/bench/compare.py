@@ -16,7 +16,7 @@ from voxtool.errors import FileError, one_line
 from voxtool.files.streams import PathLike, input_name, open_whole, read_error
 
 FORMAT, MAJOR = "voxtool-bench", "1"
-MOST_BYTES = 64 << 20  # of a report
+MOST_BYTES = 64 << 20  # bytes of a report
 MOST_TEXT = 1000  # characters of a name
 ERROR_NOISE = 1e-6  # relative
 KEY = ("bench", "model", "work", "method", "label")
@@ -66,11 +66,11 @@ class Change:
         return self.new.most < self.old.least
 
     def fails(self, over: float) -> bool:
-        """True if the row is slower by more than `over` percent, or less accurate."""
+        """Return True if the row is slower by more than `over` percent, or less accurate."""
         return bool(self.worse) or (self.slower and self.percent > over)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types."""
+        """Return the change in JSON types."""
         return {
             **dict(zip(KEY, self.key, strict=True)),
             "old": self.old.seconds,
@@ -83,7 +83,7 @@ class Change:
 
 
 def compare(old: Summary, new: Summary) -> list[Change]:
-    """The changes of the rows that both reports have, in the order of the new one."""
+    """Return the changes of the rows that both reports have, in the order of the new one."""
     return [change(key, old.rows[key], row) for key, row in new.rows.items() if key in old.rows]
 
 
@@ -139,7 +139,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _summary(report: dict[str, Any]) -> Summary:
-    """The Summary of a report. This and all below raise ValueError where it is damaged."""
+    """Return the Summary of a report. This and all below raise ValueError where it is damaged."""
     rows: dict[tuple[str, ...], Row] = {}
     for number, point in enumerate(_typed(list, report.get("points"), "points")):
         where = f"point {number}"

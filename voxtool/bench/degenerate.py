@@ -47,7 +47,7 @@ def check_kind(name: str) -> None:
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a kind of mesh, which the model names."""
+    """Yield the points of a kind of mesh, which the model names."""
     of = CROWDS[bench.model]
     small = mesh_from_arrays(*of(LEAST))
     for work in works_on(small, bench.timed).values():  # compile the kernels
@@ -64,7 +64,7 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def works_on(mesh: Mesh, device: Device) -> Works:
-    """Each kind of work on a mesh that the device does not have, by its name."""
+    """Return each kind of work on a mesh that the device does not have, by its name."""
     grid, (origin, side) = Grid.fit(mesh, DIM), cube_of(mesh)
     places = origin + side * sample_cube(POINTS)
 

@@ -47,7 +47,7 @@ LOCATED = {"gradient": True, "nearest": True, "face": True}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     mesh = load_mesh(bench.model)
     yield from _at_points(mesh, bench)
     yield from _grids(mesh, bench)
@@ -55,14 +55,14 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def build_seconds(mesh: Mesh, bench: Bench) -> float:
-    """Median seconds to decide what is inside of a mesh that the device does not have, and to
-    prepare exact distances to it."""
+    """Return median seconds to decide what is inside of a mesh that the device does not have, and
+    to prepare exact distances to it."""
     plan = partial(plan_distance, fill=bench.request.fill, device=bench.timed)
     return statistics.median(timing.times(lambda: plan(replace(mesh)).run(), bench.request.repeat))
 
 
 def _at_points(mesh: Mesh, bench: Bench) -> Iterator[Point]:
-    """Distances at one point, a thousand, and many; with and without nearest points."""
+    """Yield distances at one point, a thousand, and many; with and without nearest points."""
     asked, (origin, side) = bench.request, cube_of(mesh)
     places = origin + side * sample_cube(asked.points)
     exact = exact_distances(mesh, places[:CHECKED])
@@ -85,7 +85,7 @@ def _at_points(mesh: Mesh, bench: Bench) -> Iterator[Point]:
 
 
 def _grids(mesh: Mesh, bench: Bench) -> Iterator[Point]:
-    """Distances at all voxel centres, with the signs of each fill rule."""
+    """Yield distances at all voxel centres, with the signs of each fill rule."""
     asked, chosen = bench.request, {}
     for dim, fill in product(asked.grids, sorted(asked.fills, key="auto".__ne__)):
         grid = Grid.fit(mesh, dim)
@@ -110,7 +110,8 @@ def _grids(mesh: Mesh, bench: Bench) -> Iterator[Point]:
 
 
 def _between_meshes(mesh: Mesh, bench: Bench) -> Iterator[Point]:
-    """The Hausdorff distance to the surface of the model's voxels, by bounds and by samples."""
+    """Yield the Hausdorff distance to the surface of the model's voxels, by bounds and by
+    samples."""
     octree = plan_voxelize(mesh, Grid.fit(mesh, SURFACE_DIM), device=bench.timed).run()
     surface = plan_extract(octree, style=SURFACE_NETS, device=bench.timed).run().mesh()
     work, side = f"Hausdorff distance to the surface of dim {SURFACE_DIM}", cube_of(mesh)[1]
@@ -134,7 +135,7 @@ def _between_meshes(mesh: Mesh, bench: Bench) -> Iterator[Point]:
 
 
 def _largest_of_samples(a: Mesh, b: Mesh, count: int, device: Device) -> float:
-    """The largest distance from samples of either mesh to the other."""
+    """Return the largest distance from samples of either mesh to the other."""
     return max(
         float(TriangleDistance(other, device)(points).max())
         for mesh, other in ((a, b), (b, a))
@@ -143,7 +144,7 @@ def _largest_of_samples(a: Mesh, b: Mesh, count: int, device: Device) -> float:
 
 
 def exact_distances(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """(N,) float64: distances in rational arithmetic, rounded once.
+    """Return (N,) float64: distances in rational arithmetic, rounded once.
 
     Triangles whose box is farther from a point than some vertex are left out.
     """

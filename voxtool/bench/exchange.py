@@ -41,9 +41,9 @@ OWN: dict[str, Callable[[Octree], Octree | MergedOctree]] = {  # voxtool's own
     "svo.h5": lambda octree: octree,
     "merged.svo.h5": MergedOctree.of,
 }
-MOST_BYTES = 256_000_000  # of a file that is measured: a list of points may be very long
-MOST_OF_HEXAHEDRA = 1_200_000_000  # the same for solvers: ten million hexahedra
-TOLERANCE = 1e-2  # of the field, in sides: its files are measured, not its making
+MOST_BYTES = 256_000_000  # bytes of a file that is measured: a list of points may be very long
+MOST_OF_HEXAHEDRA = 1_200_000_000  # of a file for solvers: ten million hexahedra
+TOLERANCE = 1e-2  # sides, of the field: its files are measured, not its making
 WITHOUT = {"returned": "voxtool does not read it"}
 
 
@@ -60,7 +60,7 @@ class Content(NamedTuple):
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     mesh = load_mesh(bench.model)
     field = build_adf(mesh, bench.timed, tolerance=TOLERANCE, measure=False)
     own = bytes_of_file(field)
@@ -128,8 +128,8 @@ def field_content(samples: FieldSamples, own: int) -> Content:
 
 
 def _links(octree: Octree, mesh: Mesh, lattice: str, dim: int, bench: Bench) -> Point:
-    """The point of the links of a lattice that cross the wall; its error counts those that no
-    triangle crosses."""
+    """Return the point of the links of a lattice that cross the wall; its error counts those that
+    no triangle crosses."""
 
     def work() -> WallLinks:
         return plan_wall_links(octree, mesh, lattice, device=bench.timed).run()
@@ -143,8 +143,8 @@ def _links(octree: Octree, mesh: Mesh, lattice: str, dim: int, bench: Bench) -> 
 
 
 def _both_ways(content: Content, name: str, reads: bool, dim: int, bench: Bench) -> Iterator[Point]:
-    """The points of a format: writing a file, and reading it where that is possible; none, and a
-    warning, where it cannot be written."""
+    """Yield the points of a format: writing a file, and reading it where that is possible; none,
+    and a warning, where it cannot be written."""
     import tempfile  # slow to import, and the help of bench imports this module
 
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:

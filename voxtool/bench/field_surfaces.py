@@ -30,7 +30,7 @@ MOST_SAMPLES = 9  # deepest level of a field that is sampled densely, for other 
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of extracting surfaces from fields of a model."""
+    """Yield the points of extracting surfaces from fields of a model."""
     asked, mesh, others = bench.request, load_mesh(bench.model), timing.Peers(bench.request.repeat)
     against = Reference(*capped(mesh), asked.samples, bench.timed)
     for level, tolerance in product(asked.levels, asked.tolerances):
@@ -71,7 +71,7 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def samples_of(field: DistanceField) -> np.ndarray:
-    """(n, n, n) float32: distances at the corners of the deepest leaves, [z, y, x]."""
+    """Return (n, n, n) float32: distances at the corners of the deepest leaves, [z, y, x]."""
     ticks = np.arange((1 << field.depth) + 1) * (field.side / (1 << field.depth))
     z, y, x = np.meshgrid(ticks, ticks, ticks, indexing="ij")
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) + np.array(field.origin)

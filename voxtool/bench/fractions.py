@@ -34,8 +34,8 @@ TOO_LARGE = {"rms": f"voxels are compared up to dim {SAMPLED_DIM}"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model: fractions of each type, and of faces, points and the solid; the root
-    mean square of the errors of cut voxels, and the error of the volume. For fractions, the
+    """Yield the points of a model: fractions of each type, and of faces, points and the solid; the
+    root mean square of the errors of cut voxels, and the error of the volume. For fractions, the
     figure "by the lattice" is the share of the volume that rounding of the vertices changes."""
     mesh = load_mesh(bench.model)
     for dim in bench.request.dims:
@@ -80,21 +80,21 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def masked(octree: Octree) -> np.ndarray:
-    """The voxels that have a fraction of their own, (nx, ny, nz) bool."""
+    """Return the voxels that have a fraction of their own, (nx, ny, nz) bool."""
     masks = octree.attribute("fraction").held(octree.bricks)
     bits = np.unpackbits(masks.view(np.uint8), bitorder="little").reshape(-1, len(BRICK_VOXELS))
     return _scattered(octree, np.zeros(octree.grid.shape, bool), bits)
 
 
 def dense_of(octree: Octree) -> np.ndarray:
-    """The fractions of all voxels, (nx, ny, nz) float64."""
+    """Return the fractions of all voxels, (nx, ny, nz) float64."""
     values = octree.values("fraction").of_bricks(slice(None))
     most = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
     return _scattered(octree, octree.to_dense().astype(np.float64), values / most)
 
 
 def _scattered(octree: Octree, dense: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The array with the values of the voxels of bricks, (n, 64), that lie in it."""
+    """Return the array with the values of the voxels of bricks, (n, 64), that lie in it."""
     places = octree.levels()[-1].cells[:, None] + BRICK_VOXELS
     held = (places < octree.grid.shape).all(axis=2)
     dense[tuple(places[held].T)] = values[held]
@@ -102,7 +102,7 @@ def _scattered(octree: Octree, dense: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def sampled(mesh: Mesh, grid: Grid, fill: str, device: Device) -> np.ndarray:
-    """The shares of points of each voxel that are inside, (nx, ny, nz) float64: those of the
+    """Return the shares of points of each voxel that are inside, (nx, ny, nz) float64: those of the
     centres of voxels POINTS times finer, in slabs."""
     nx, ny, nz = grid.shape
     x, y, z = grid.pitch
@@ -119,10 +119,11 @@ def sampled(mesh: Mesh, grid: Grid, fill: str, device: Device) -> np.ndarray:
 
 
 def rms(found: np.ndarray, exact: np.ndarray) -> float:
-    """The root mean square of errors; 0 of none."""
+    """Return the root mean square of errors; 0 of none."""
     return float(np.sqrt(np.mean((found - exact) ** 2))) if len(exact) else 0.0
 
 
 def error_of(voxels: float, job: FractionJob) -> float:
-    """The error of a volume in voxels, of that of the mesh, whose vertices are not rounded."""
+    """Return the error of a volume in voxels, relative to the mesh's, whose vertices are not
+    rounded."""
     return abs(voxels / job.volumes.mesh - 1) if job.volumes.mesh else 0.0

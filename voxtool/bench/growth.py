@@ -55,7 +55,7 @@ PARTS = ((0, 4, 5, 6), (4, 1, 7, 8), (5, 7, 2, 9), (6, 8, 9, 3),
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     if is_volume(bench.model):
         yield from _subdivided_volume(bench)
         return
@@ -87,7 +87,7 @@ def _subdivided_volume(bench: Bench) -> Iterator[Point]:
 
 
 def _of_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
-    """Each kind of work on a mesh that the device does not have."""
+    """Return each kind of work on a mesh that the device does not have."""
     grid, (origin, side) = Grid.fit(mesh, DIM), cube_of(mesh)
     places = origin + side * sample_cube(POINTS)
     works: Works = {
@@ -113,7 +113,7 @@ def _of_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
 
 
 def _of_dim(mesh: Mesh, dim: int, bench: Bench) -> Iterator[Point]:
-    """Octrees of a grid, and surfaces."""
+    """Return octrees of a grid, and surfaces."""
     grid = Grid.fit(mesh, dim)
     octree = voxelize(mesh, grid, fill="parity", device=bench.timed)
     works: Works = {
@@ -133,7 +133,7 @@ def _of_dim(mesh: Mesh, dim: int, bench: Bench) -> Iterator[Point]:
 
 
 def _of_level(mesh: Mesh, level: int, bench: Bench) -> Iterator[Point]:
-    """A field, and queries of it."""
+    """Return a field, and queries of it."""
     tolerance, (origin, side) = min(bench.request.tolerances), cube_of(mesh)
     places = origin + side * sample_cube(POINTS)
     build = partial(plan_field, mesh, tolerance=tolerance, max_level=level, measure=False)
@@ -150,7 +150,7 @@ def _of_level(mesh: Mesh, level: int, bench: Bench) -> Iterator[Point]:
 
 
 def _of_pixels(mesh: Mesh, bench: Bench) -> Iterator[Point]:
-    """Larger and larger pictures, one ray a pixel."""
+    """Yield larger and larger pictures, one ray a pixel."""
     octree = voxelize(mesh, Grid.fit(mesh, DIM), device=bench.timed)
     field = plan_field(
         mesh, tolerance=TOLERANCE, max_level=LEVEL, measure=False, device=bench.timed
@@ -169,13 +169,13 @@ def _of_pixels(mesh: Mesh, bench: Bench) -> Iterator[Point]:
 
 
 def _points(bench: Bench, work: str, label: str, works: Works, **fields: Any) -> Iterator[Point]:
-    """A point of each method; fields : of Bench.point."""
+    """Yield a point of each method; fields : of Bench.point."""
     for method, run in works.items():
         yield bench.point(work, method, label, run=run, **fields)
 
 
 def _of_volume(volume: UnstructuredMesh, bench: Bench) -> Iterator[Point]:
-    """The textures of a volume, and a frame."""
+    """Return the textures of a volume, and a frame."""
     made = build_tet(volume, device=bench.timed)
     low, high = made.bounds()
     transfer = named("viridis", *made.scalar_range, float((high - low).max()) / 8)
@@ -194,14 +194,14 @@ def _of_volume(volume: UnstructuredMesh, bench: Bench) -> Iterator[Point]:
 
 
 def whole(mesh: UnstructuredMesh, device: Device) -> UnstructuredMesh:
-    """A mesh with its cells split into tetrahedra."""
+    """Return a mesh with its cells split into tetrahedra."""
     found = tetrahedra(device, volume_cells(mesh)).on_host()
     scalars = [found.scalars] if found.constant else found.scalars
     return UnstructuredMesh(found.vertices, [("tetra", found.cells)], scalars, mesh.scalar)
 
 
 def eighths(mesh: UnstructuredMesh) -> UnstructuredMesh:
-    """A mesh of tetrahedra, each cut in eight at the midpoints of its edges."""
+    """Return a mesh of tetrahedra, each cut in eight at the midpoints of its edges."""
     cells = mesh.cells[0][1]
     ends = np.sort(cells[:, EDGES].reshape(-1, 2), axis=1)
     ends, middle = np.unique(ends, axis=0, return_inverse=True)

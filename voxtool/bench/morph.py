@@ -36,7 +36,7 @@ NO_SCIPY = {"wrong": "SciPy is not installed"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     mesh = load_mesh(bench.model)
     scipy = importlib.util.find_spec("scipy") is not None
     for dim in bench.request.dims:
@@ -75,7 +75,7 @@ def measure(bench: Bench) -> Iterator[Point]:
 def _components(
     octree: Octree, dense: np.ndarray | None, absent: dict[str, str], bench: Bench
 ) -> Iterator[Point]:
-    """The points of the components of an octree, of voxels that share faces."""
+    """Yield the points of the components of an octree, of voxels that share faces."""
     dim = octree.grid.dim
     row = partial(
         bench.point, LABELS, label=f"dim {dim}", asked={"dims": dim}, size=octree.count,
@@ -95,7 +95,7 @@ def _components(
 
 
 def sizes_of(dense: np.ndarray) -> np.ndarray:
-    """The voxels of each component of a dense array, across faces."""
+    """Return the voxels of each component of a dense array, across faces."""
     from scipy.ndimage import label
 
     labelled: Any = label(dense)
@@ -105,7 +105,7 @@ def sizes_of(dense: np.ndarray) -> np.ndarray:
 def _halved(
     octree: Octree, dense: np.ndarray | None, absent: dict[str, str], bench: Bench
 ) -> Point:
-    """The point of resampling to voxels twice as large, of which half is covered."""
+    """Return the point of resampling to voxels twice as large, of which half is covered."""
     grid = octree.grid
     shape = tuple(-(-n // 2) for n in grid.shape)
     half = Grid(shape, grid.origin, tuple(2 * p for p in grid.pitch))  # pyright: ignore[reportArgumentType]
@@ -123,7 +123,7 @@ def _halved(
 
 
 def by_distances(voxels: np.ndarray, operation: str) -> np.ndarray:
-    """The result of an operation on a dense array, by squared distances as whole numbers."""
+    """Return the result of an operation on a dense array, by squared distances as whole numbers."""
     if operation == "dilate":
         return dilated(voxels)
     if operation == "close":
@@ -135,7 +135,7 @@ def by_distances(voxels: np.ndarray, operation: str) -> np.ndarray:
 
 
 def dilated(voxels: np.ndarray) -> np.ndarray:
-    """The voxels within RADIUS of a set one."""
+    """Return the voxels within RADIUS of a set one."""
     from scipy.ndimage import distance_transform_edt
 
     if not voxels.any():
@@ -145,8 +145,8 @@ def dilated(voxels: np.ndarray) -> np.ndarray:
 
 
 def wrong(found: Octree, octree: Octree, expected: np.ndarray) -> int:
-    """The number of voxels in which an octree differs from an array that is padded by PAD around
-    the grid of another octree."""
+    """Return the number of voxels in which an octree differs from an array that is padded by PAD
+    around the grid of another octree."""
     shift = np.subtract(found.grid.origin, octree.grid.origin) / octree.grid.pitch
     held = np.zeros_like(expected)
     held[tuple((found.occupied() + np.rint(shift).astype(int) + PAD).T)] = True

@@ -33,7 +33,7 @@ TOOLS = {  # imported name, name on the package index, and the benches that use 
 
 
 def missing(benches: set[str]) -> list[str]:
-    """The packages that these benches could use and that are not installed."""
+    """Return the packages that these benches could use and that are not installed."""
     return [
         package
         for name, package, used in TOOLS.values()
@@ -49,7 +49,7 @@ def _module(name: str) -> Any:
 
 
 def _made(makers: dict[str, Callable[..., Any]], *args: Any) -> Iterator[tuple[str, Any]]:
-    """The name and version of each tool that is installed, and what its maker returns."""
+    """Yield the name and version of each tool that is installed, and what its maker returns."""
     for tool, maker in makers.items():
         if _module(TOOLS[tool][0]) is not None:
             yield f"{tool} {importlib.metadata.version(tool)}", maker(*args)
@@ -60,7 +60,7 @@ def _vtk() -> tuple[Any, Any]:
 
 
 def _vtk_mesh(vertices: np.ndarray, cells: np.ndarray) -> tuple[Any, Any]:
-    """The vtkPoints of (V, 3) vertices and the vtkCellArray of (N, k) cells."""
+    """Return the vtkPoints of (V, 3) vertices and the vtkCellArray of (N, k) cells."""
     vtk, support = _vtk()
     points, array = vtk.vtkPoints(), vtk.vtkCellArray()
     points.SetData(support.numpy_to_vtk(np.asarray(vertices, np.float64), deep=True))
@@ -76,7 +76,8 @@ def _vtk_mesh(vertices: np.ndarray, cells: np.ndarray) -> tuple[Any, Any]:
 
 
 def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
-    """The tools that voxelize in this mode, by name and version; their inputs are made before."""
+    """Return the tools that voxelize in this mode, by name and version; their inputs are made
+    before."""
     makers = {
         "solid": {"VTK": _vtk_stencil, "trimesh": _trimesh_filled},
         "surface26": {"Open3D": _open3d_voxel_grid, "trimesh": _trimesh_subdivide},
@@ -125,14 +126,14 @@ def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> Callable[[], Any]:
 
 
 def _trimesh_filled(mesh: Mesh, grid: Grid) -> Callable[[], object]:
-    """The voxels of _trimesh_subdivide with its holes filled."""
+    """Return the voxels of _trimesh_subdivide with its holes filled."""
     voxels = _trimesh_subdivide(mesh, grid)
     return lambda: voxels().fill()
 
 
 def of_grid(dense: Callable[[], np.ndarray], value: float) -> dict[str, Callable[[], object]]:
-    """The tools that extract a smooth surface where a dense grid has a value, by name and version.
-    Their time includes `dense`, which makes the grid, (nz, ny, nx)."""
+    """Return the tools that extract a smooth surface where a dense grid has a value, by name and
+    version. Their time includes `dense`, which makes the grid, (nz, ny, nx)."""
     makers = {"VTK": _vtk_flying_edges, "scikit-image": _skimage_marching_cubes}
     found = dict(_made(makers, dense, value))
     flying = f", Flying Edges on {_threads()} threads"
@@ -182,7 +183,7 @@ def _skimage_marching_cubes(dense: Callable[[], np.ndarray], value: float) -> Ca
 
 
 def of_repair(mesh: Mesh, grid: Grid) -> dict[str, Callable[[], Arrays]]:
-    """The tools that make a closed mesh of any triangles, at the voxels of a grid."""
+    """Return the tools that make a closed mesh of any triangles, at the voxels of a grid."""
     made = _made({"PyMeshLab": _meshlab_wrap}, mesh, grid.pitch[0])
     return {f"{name}, alpha wrap": work for name, work in made}
 
@@ -206,8 +207,8 @@ def _meshlab_wrap(mesh: Mesh, pitch: float) -> Callable[[], Arrays]:
 
 
 def of_distance(mesh: Mesh) -> dict[str, Callable[[], Distance]]:
-    """The tools that compute signed distances, by name and version, each with its own choice of
-    threads. A call prepares the mesh and returns a function from (N, 3) float64 points to (N,)
+    """Return the tools that compute signed distances, by name and version, each with its own choice
+    of threads. A call prepares the mesh and returns a function from (N, 3) float64 points to (N,)
     distances."""
     found = dict(_made({"Open3D": _open3d_scene, "libigl": _igl_signed_distance}, mesh))
     return {name + ", building its trees" * ("libigl" in name): build
@@ -254,8 +255,8 @@ def _igl_signed_distance(mesh: Mesh) -> Callable[[], Distance]:
 
 
 def of_rays(mesh: Mesh, rays: Rays) -> dict[str, Callable[[], np.ndarray]]:
-    """The tools that cast rays at a mesh, by name and version; their trees are made before. Each
-    returns (H, W) bool: the rays that meet it."""
+    """Return the tools that cast rays at a mesh, by name and version; their trees are made before.
+    Each returns (H, W) bool: the rays that meet it."""
     return dict(_made({"Open3D": _open3d_rays}, mesh, rays))
 
 
@@ -302,8 +303,8 @@ def of_volume(
     *,
     constant: bool = False,
 ) -> list[PicturePeer]:
-    """The tools that draw what voxtool.selftest.reference draws, with their own choice of threads.
-    There is none in perspective, in which VTK's scalars are wrong."""
+    """Return the tools that draw what voxtool.selftest.reference draws, with their own choice of
+    threads. There is none in perspective, in which VTK's scalars are wrong."""
     volume = (vertices, cells, scalars, transfer, rays, constant)
     makers = {} if rays.perspective else {"VTK": _vtk_ray_cast}
     return [PicturePeer(name, *made) for name, made in _made(makers, *volume)]
@@ -366,8 +367,8 @@ def _vtk_ray_cast(
 
 
 def _vtk_volume(mapper: Any, transfer: TransferFunction) -> Any:
-    """A vtkVolume with a transfer function. VTK takes no steps, so the first of two equal control
-    points is moved."""
+    """Return a vtkVolume with a transfer function. VTK takes no steps, so the first of two equal
+    control points is moved."""
     vtk, _ = _vtk()
     scalars = transfer.scalars.astype(np.float64)
     scalars[:-1][np.diff(transfer.scalars) == 0] -= 1e-9 * np.ptp(transfer.scalars)
@@ -387,7 +388,7 @@ def _vtk_volume(mapper: Any, transfer: TransferFunction) -> Any:
 
 
 def _vtk_window(volume: Any, rays: Rays) -> Any:
-    """An off-screen window that shows a vtkVolume along orthographic rays."""
+    """Return an off-screen window that shows a vtkVolume along orthographic rays."""
     vtk, _ = _vtk()
     width, height = rays.size
     renderer, camera = vtk.vtkRenderer(), vtk.vtkCamera()

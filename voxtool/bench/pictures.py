@@ -35,7 +35,7 @@ WITHOUT = {"outline": "--peers casts rays at the mesh itself"}
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     mesh = load_mesh(bench.model)
     contents = contents_of(mesh, bench)
     camera = camera_for(next(iter(contents.values()))[0], bench.request.view, fov=None)
@@ -44,7 +44,8 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def contents_of(mesh: Mesh, bench: Bench) -> dict[tuple[str, str], tuple[Content, dict]]:
-    """The octrees and the fields of a mesh, and the settings of each, by method and label."""
+    """Return the octrees and the fields of a mesh, and the settings of each, by method and
+    label."""
     asked, device = bench.request, bench.timed
     contents: dict[tuple[str, str], tuple[Content, dict]] = {}
     for dim in asked.dims:
@@ -62,7 +63,7 @@ def contents_of(mesh: Mesh, bench: Bench) -> dict[tuple[str, str], tuple[Content
 def _pictures(
     mesh: Mesh, contents: dict[tuple[str, str], tuple[Content, dict]], rays: Rays, bench: Bench
 ) -> Iterator[Point]:
-    """The peers at the rays of one size of picture, then a picture of each content."""
+    """Yield the peers at the rays of one size of picture, then a picture of each content."""
     asked, others = bench.request, timing.Peers(bench.request.repeat)
     size, seen, first = rays.size[0], None, 0.0
     row = partial(bench.point, f"picture of {size} x {size} rays", size=size, size_of="pixels")

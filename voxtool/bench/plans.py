@@ -98,7 +98,7 @@ def check_kind(name: str) -> None:
 
 
 def measure(bench: Bench) -> Iterator[Ablation]:
-    """The ablations of a scene, which the model names."""
+    """Yield the ablations of a scene, which the model names."""
     wing, _, name = bench.model.partition("-")
     if wing == "voxels":
         shape, dim, request = VOXELS[name]

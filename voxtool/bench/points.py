@@ -81,7 +81,8 @@ class Point:
     absent : why a measure is missing, by its name.
     stages : seconds of each stage on the device, by its events.
     left_out : the parts that the plan left out, and why.
-    bytes : of the result; peak : of resident memory, of the whole command in its own process.
+    bytes : size of the result.
+    peak : bytes of resident memory of the whole command, in a process of its own.
     peer : True for another tool; its errors are by the same measure.
     """
 
@@ -125,7 +126,7 @@ class Point:
         return self.bench, self.model, self.work
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types."""
+        """Return the point in JSON types."""
         times = {"median": self.seconds, "least": min(self.runs), "most": max(self.runs)}
         return {**asdict(self), "seconds": times}
 
@@ -139,8 +140,8 @@ class Ablation:
     what, why : the part that the plan left out, and its reason.
     runs, forced : seconds of each repeat as planned, and with the decision forced, in turns.
     same : True if the results are the same, bit for bit.
-    saved_bytes : of the device's memory, as the plans predict, or of a field, that leaving it out
-        saves.
+    saved_bytes : bytes that leaving it out saves: device memory, as the plans predict, or of a
+        field.
     """
 
     bench: str
@@ -173,17 +174,17 @@ class Ablation:
         return f"{time}; {size}"
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types."""
+        """Return the comparison in JSON types."""
         return {**asdict(self), "saved": self.saved, "beyond_noise": self.beyond_noise}
 
 
 def charted(bench: str) -> str:
-    """The measure that charts show."""
+    """Return the measure that charts show."""
     return next(iter(MEASURES[bench]))
 
 
 def grouped(points: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
-    """The points by key, in their order."""
+    """Return the points by key, in their order."""
     found: dict[K, list[T]] = {}
     for point in points:
         found.setdefault(key(point), []).append(point)
@@ -191,17 +192,17 @@ def grouped(points: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
 
 
 def charts_of(points: Iterable[Point]) -> dict[tuple[str, str, str], list[Point]]:
-    """The points of each chart, in their order."""
+    """Return the points of each chart, in their order."""
     return grouped(points, lambda point: point.chart)
 
 
 def methods_of(points: Iterable[Point]) -> dict[str, list[Point]]:
-    """The points of each method, in their order."""
+    """Return the points of each method, in their order."""
     return grouped(points, lambda point: point.method)
 
 
 def pareto(points: Iterable[Point]) -> list[Point]:
-    """The points with an error that no other point dominates, the fastest first."""
+    """Return the points with an error that no other point dominates, the fastest first."""
     front: list[Point] = []
     known = [(point.seconds, point.error, point) for point in points if point.error is not None]
     for _, error, point in sorted(known, key=lambda found: found[:2]):
@@ -211,8 +212,8 @@ def pareto(points: Iterable[Point]) -> list[Point]:
 
 
 def exponent(points: Sequence[tuple[float, float]]) -> float | None:
-    """p of y ~ x**p by least squares on logarithms; None for fewer than two different x, or if a
-    number is not positive."""
+    """Return p of y ~ x**p by least squares on logarithms; None for fewer than two different x,
+    or if a number is not positive."""
     if len({x for x, _ in points}) < 2 or any(v <= 0 for point in points for v in point):
         return None
     xs, ys = ([math.log(point[i]) for point in points] for i in range(2))
@@ -220,7 +221,7 @@ def exponent(points: Sequence[tuple[float, float]]) -> float | None:
 
 
 def cost_lines(points: Sequence[Point]) -> dict[str, list[tuple[float, float]]]:
-    """Size and seconds of the points of each method that has several sizes."""
+    """Return size and seconds of the points of each method that has several sizes."""
     lines = {
         method: sorted((p.size, p.seconds) for p in found if p.size)
         for method, found in methods_of(points).items()
@@ -229,7 +230,7 @@ def cost_lines(points: Sequence[Point]) -> dict[str, list[tuple[float, float]]]:
 
 
 def exponents(points: Sequence[Point]) -> dict[str, tuple[float, float, float]]:
-    """By method: p of seconds ~ size**p, and the least and largest size of the fit."""
+    """Return, for each method, p of seconds ~ size**p and the least and largest size of the fit."""
     return {
         method: (p, line[0][0], line[-1][0])
         for method, line in cost_lines(points).items()
@@ -249,14 +250,15 @@ class Budget:
     measure: str | None = None  # the charted one by default
 
     def met(self, point: Point) -> bool:
-        """True if a point keeps both limits."""
+        """Return True if a point keeps both limits."""
         error = point.errors.get(self.measure or charted(point.bench))
         return (self.time is None or point.seconds <= self.time) and (
             self.error is None or (error is not None and error <= self.error)
         )
 
     def choose(self, points: Iterable[Point]) -> Point | None:
-        """The cheapest point that meets the error; the most accurate, if only time is limited."""
+        """Return the cheapest point that meets the error; the most accurate, if only time is
+        limited."""
         met = [point for point in points if self.met(point)]
         if self.error is not None:
             return min(met, key=lambda point: point.seconds, default=None)
@@ -281,8 +283,8 @@ class Budget:
 
 
 def answers(points: Iterable[Point], budget: Budget) -> list[tuple[str, Point | None]]:
-    """The title of each chart in which an error was measured, and the point to choose in it, or
-    None if no point meets the budget."""
+    """Return the title of each chart in which an error was measured, and the point to choose in it,
+    or None if no point meets the budget."""
     return [
         (title(chart), budget.choose(found))
         for chart, found in charts_of(points).items()
@@ -291,7 +293,7 @@ def answers(points: Iterable[Point], budget: Budget) -> list[tuple[str, Point | 
 
 
 def verdicts(points: Sequence[Point]) -> list[str]:
-    """Advice on one chart, in words: the cheapest point for each power of ten of the error,
+    """Return advice on one chart, in words: the cheapest point for each power of ten of the error,
     the most accurate point, and the methods that are never on the Pareto front."""
     front = pareto(points)
     if not front:
@@ -320,7 +322,7 @@ def verdicts(points: Sequence[Point]) -> list[str]:
 
 
 def costs(points: Sequence[Point]) -> list[str]:
-    """The growth of the time of each method of one chart with the size, in words."""
+    """Return the growth of the time of each method of one chart with the size, in words."""
     size_of = next((point.size_of for point in points if point.size), "")
     return [
         f"time of {method} ~ {size_of}^{p:.2f}, from {low:,g} to {high:,g} {size_of}"
@@ -332,18 +334,18 @@ def costs(points: Sequence[Point]) -> list[str]:
 
 
 def title(chart: tuple[str, str, str]) -> str:
-    """The title of a chart: "voxelize, bunny.obj: mesh to solid voxels"."""
+    """Return the title of a chart: "voxelize, bunny.obj: mesh to solid voxels"."""
     bench, model, work = chart
     return f"{bench}, {model}: {work}"
 
 
 def named(point: Point) -> str:
-    """Method and label: "solid, parity, dim 64"."""
+    """Return method and label: "solid, parity, dim 64"."""
     return f"{point.method}, {point.label}" if point.label else point.method
 
 
 def duration(seconds: float) -> str:
-    """A time as text: "12.3 ms"."""
+    """Return a time as text: "12.3 ms"."""
     if seconds >= 1:
         return f"{seconds:.3g} s"
     return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} µs"

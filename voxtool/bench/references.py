@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.opencl import Device
 
-TRIANGLE_BYTES = 280  # of a surface whose distances are measured, at the peak
+TRIANGLE_BYTES = 280  # bytes of a surface whose distances are measured, at the peak
 CAPPED_DIM = 4096  # of the lattice on which the boundary loops of a model are found
 NO_AREA = {"area": "faces of voxels do not tend to the area"}
 NO_SOLID = {"volume": "the voxels that a surface touches are no solid"}
@@ -34,7 +34,8 @@ NO_SOLID = {"volume": "the voxels that a surface touches are no solid"}
 
 
 def capped(mesh: Mesh) -> tuple[Mesh, int]:
-    """The mesh with its holes closed by fans, as `fill="winding"` closes them, and their number."""
+    """Return the mesh with its holes closed by fans, as `fill="winding"` closes them, and their
+    number."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     own = Mesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32), name=mesh.name)
     fixed = Grid.fit(mesh, CAPPED_DIM).to_fixed(own.vertices)
@@ -66,7 +67,7 @@ class Reference:
         self.volume, self.area = abs(volume(mesh)), area(mesh)
 
     def errors_of(self, surface: Mesh) -> Any:
-        """The `errors` and `absent` of a Point."""
+        """Return the `errors` and `absent` of a Point."""
         if not len(surface.faces):
             return {"errors": {}, "absent": dict.fromkeys(MEASURES["extract"], "it is empty")}
         errors: dict[str, float] = {}
@@ -90,7 +91,7 @@ class Reference:
         }
 
     def in_voxels(self, found: dict[str, dict], edge: float) -> dict[str, float]:
-        """The distances of `errors_of` in voxels, or leaves, with an edge in world units."""
+        """Return the distances of `errors_of` in voxels, or leaves, with an edge in world units."""
         names = {"rms": "rms in voxels", "hausdorff": "max in voxels"}
         return {
             name: self.diagonal / edge * found["errors"][measure]
@@ -100,14 +101,14 @@ class Reference:
 
 
 def area(mesh: Mesh) -> float:
-    """The area of a mesh, in square world units."""
+    """Return the area of a mesh, in square world units."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     return math.fsum(length(cross(b - a, c - a)).tolist()) / 2
 
 
 def voxels_of_peer(made: Any, grid: Grid) -> Octree:
-    """The voxels of another tool: a vtkImageData, a vtkImageStencilData, or a VoxelGrid of Open3D
-    or trimesh."""
+    """Return the voxels of another tool: a vtkImageData, a vtkImageStencilData, or a VoxelGrid of
+    Open3D or trimesh."""
     if hasattr(made, "matrix"):
         pitch = np.asarray(made.pitch, np.float64)
         low = made.translation - pitch / 2
@@ -130,8 +131,8 @@ def voxels_of_peer(made: Any, grid: Grid) -> Octree:
 
 
 def surface_of_peer(made: Any, origin: np.ndarray, step: np.ndarray | float) -> Mesh:
-    """The surface of another tool, a vtkPolyData or the arrays of scikit-image, on a lattice that
-    begins at an origin."""
+    """Return the surface of another tool, a vtkPolyData or the arrays of scikit-image, on a lattice
+    that begins at an origin."""
     if isinstance(made, tuple):
         points, faces = made[0][:, ::-1], made[1]
     else:
@@ -149,7 +150,7 @@ def _from_vtk(array: Any) -> np.ndarray:
 
 
 def distance_errors(found: np.ndarray, exact: np.ndarray, side: float) -> dict[str, float]:
-    """The errors of distances, in sides of the cube; "p99" is the 99th percentile."""
+    """Return the errors of distances, as shares of the cube's side; "p99" is a percentile."""
     errors = np.abs(found - exact) / side
     p99 = float(np.quantile(errors, 0.99, method="inverted_cdf"))
     return {"rms": _rms(errors), "p99": p99, "max": float(errors.max())}
@@ -158,8 +159,8 @@ def distance_errors(found: np.ndarray, exact: np.ndarray, side: float) -> dict[s
 def distances_compared(
     found: np.ndarray, exact: np.ndarray, side: float
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """The errors of distances, and two figures of their signs: the largest error without the sign,
-    in sides of the cube, and the number of points whose sign differs."""
+    """Return the errors of distances, and two figures of their signs: the largest error without the
+    sign, as a share of the cube's side, and the number of points whose sign differs."""
     unsigned = np.abs(np.abs(found) - np.abs(exact)) / side
     signs = {
         "max unsigned": float(unsigned.max()),
@@ -169,7 +170,7 @@ def distances_compared(
 
 
 def _rms(errors: np.ndarray) -> float:
-    """The root of the mean square; math.fsum rounds once, in whatever order it adds."""
+    """Return the root of the mean square; math.fsum rounds once, in whatever order it adds."""
     return math.sqrt(math.fsum(errors * errors) / max(len(errors), 1))
 
 
@@ -182,7 +183,7 @@ class ReferencePicture:
 
     Attributes
     ----------
-    rays : of the picture.
+    rays : those of the picture.
     pixels : (N, 2) int, column and row; expected : (N, 4) float64, their premultiplied RGBA.
     """
 
@@ -191,8 +192,8 @@ class ReferencePicture:
     expected: np.ndarray
 
     def compared(self, found: np.ndarray) -> dict[str, Any]:
-        """The `errors` and `figures` of a Point for (N, 4) colours: the errors are those of the
-        pixels that are not empty in both."""
+        """Return the `errors` and `figures` of a Point for (N, 4) colours: the errors are those of
+        the pixels that are not empty in both."""
         alpha = self.expected[:, 3]
         seen = (alpha > 0) | (found[:, 3] > 0)
         off = np.abs(found[seen].astype(np.float64) - self.expected[seen]).ravel()
@@ -205,5 +206,5 @@ class ReferencePicture:
         }
 
     def of(self, picture: np.ndarray) -> np.ndarray:
-        """The colours of the pixels in a picture."""
+        """Return the colours of the pixels in a picture."""
         return picture[self.pixels[:, 1], self.pixels[:, 0]]

@@ -31,7 +31,7 @@ REMOVED, REVERSED = 17, 5
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     mesh, asked, peers = load_mesh(bench.model), bench.request, Peers(bench.request.repeat)
     damaged = damage(mesh)
     against = Reference(*capped(mesh), asked.samples, bench.timed)
@@ -58,14 +58,14 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def damage(mesh: Mesh) -> Mesh:
-    """The mesh with faces missing and reversed."""
+    """Return the mesh with faces missing and reversed."""
     faces = np.delete(mesh.faces, np.s_[::REMOVED], axis=0)
     faces[::REVERSED] = faces[::REVERSED, ::-1]
     return mesh_from_arrays(mesh.vertices, faces, name=mesh.name)
 
 
 def described(result: Mesh, against: Reference) -> dict[str, Any]:
-    """The `errors`, `absent` and `figures` of a Point for a repaired mesh."""
+    """Return the `errors`, `absent` and `figures` of a Point for a repaired mesh."""
     found: dict[str, Any] = against.errors_of(result)
     if found["errors"]:
         checked = check_surface(result, weld=False)

@@ -55,7 +55,7 @@ class Report:
     date: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON of docs/benchmarks.md."""
+        """Return the JSON of docs/benchmarks.md."""
         return {
             "format": FORMAT,
             "schema_version": SCHEMA_VERSION,
@@ -72,7 +72,7 @@ class Report:
 
 
 def machine() -> dict[str, Any]:
-    """The host, and the versions that figures may depend on."""
+    """Return the host, and the versions that figures may depend on."""
     return {
         "processor": platform.machine(),
         "cores": os.cpu_count(),
@@ -138,7 +138,8 @@ def write_files(contents: dict[str, bytes], folder: str, clobber: bool) -> list[
 
 
 def as_csv(points: Sequence[Point]) -> str:
-    """A line for each point and a column for each measure and figure; empty if not measured."""
+    """Return a line for each point and a column for each measure and figure; empty if not
+    measured."""
     measures = list(dict.fromkeys(name for found in MEASURES.values() for name in found))
     file = io.StringIO()
     rows = csv.writer(file)
@@ -157,7 +158,7 @@ def as_csv(points: Sequence[Point]) -> str:
 
 
 def _cell(text: str) -> str:
-    """The text; quoted if a spreadsheet would take it for a formula."""
+    """Return the text; quoted if a spreadsheet would take it for a formula."""
     return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
 
 
@@ -169,8 +170,8 @@ def as_html(
     drawn: dict[tuple[str, str, str], list[Chart]],
     ablation_charts: Sequence[Chart],
 ) -> str:
-    """The page, from report.html beside this module: what to choose first, then charts, what was
-    left out, and all figures."""
+    """Return the page, from report.html beside this module: what to choose first, then charts, what
+    was left out, and all figures."""
     points, device = report.points, report.device
     found = f"{device.name}, {device.platform} {device.driver}"
     return page(
@@ -196,7 +197,7 @@ def as_html(
 
 
 def page(template: str, **values: Any) -> str:
-    """A page from a template beside this module; values are escaped."""
+    """Return a page from a template beside this module; values are escaped."""
     import jinja2
 
     environment = jinja2.Environment(

@@ -96,7 +96,7 @@ class Request:
     device: str | None = None
 
     def command(self, bench: str, model: str, **setting: Any) -> str:
-        """The shell command that measures one point again: `setting` replaces fields."""
+        """Return the shell command that measures one point again: `setting` replaces fields."""
         words = ["voxtool", "bench", bench, model]
         for name in (*SETTINGS[bench], "repeat", "device"):
             value = setting.get(name, getattr(self, name))
@@ -116,12 +116,12 @@ QUICK = Request(
 
 
 def benches_for(model: str) -> tuple[str, ...]:
-    """The benches for a file, by its name."""
+    """Return the benches for a file, by its name."""
     return VOLUME_BENCHES if is_volume(model) else MESH_BENCHES
 
 
 def is_volume(model: str) -> bool:
-    """True if a file has volume cells, by its name."""
+    """Return True if a file has volume cells, by its name."""
     from voxtool.files import VOLUME_FORMATS  # heavy: the help does without
 
     return model.lower().removesuffix(".gz").endswith(tuple(VOLUME_FORMATS))

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 FILE, MANY = "mesh to file of an octree", "{} meshes to files of octrees"
 FLOOD = "mesh to file of a flooded octree"
 MODE = "surface26"
-SHARE = 4  # the octree takes so many times the memory that windows may
+SHARE = 4  # the octree takes SHARE times the memory that windows may
 FLOOD_SHARE = 2  # the same of a flood, whose windows need what lies around them
 MESHES = 16
 RADIUS = 4  # voxels
@@ -51,7 +51,7 @@ PEER_DIM = 64  # up to which trimesh, which takes a second a mesh, is beside
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         for dim in bench.request.dims:
             yield from _large(bench, dim, Path(folder))
@@ -61,7 +61,7 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def _large(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
-    """The points of one octree: in one piece and in windows, with all nodes and merged."""
+    """Yield the points of one octree: in one piece and in windows, with all nodes and merged."""
     mesh, target = load_mesh(bench.model), folder / "octree.svo.h5"
     plan = partial(plan_voxelize, mesh, Grid.fit(mesh, dim), MODE, device=bench.timed)
     whole = plan()
@@ -88,7 +88,7 @@ def _large(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
 
 
 def _flooded(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
-    """The points of a flood: in one piece and in windows."""
+    """Yield the points of a flood: in one piece and in windows."""
     mesh, target = load_mesh(bench.model), folder / "flooded.svo.h5"
     plan = partial(plan_voxelize, mesh, Grid.fit(mesh, dim), fill="flood", device=bench.timed)
     limit, digest = plan().plan.cost.device // FLOOD_SHARE, plan().run().digest()
@@ -108,7 +108,7 @@ def _flooded(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
 
 
 def _read(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
-    """The points of operations on octrees in files: with the mirror image, and by a ball."""
+    """Yield the points of operations on octrees in files: with the mirror image, and by a ball."""
     mesh, target = load_mesh(bench.model), folder / "made.svo.h5"
     grid, names = Grid.fit(mesh, dim), (folder / "one.svo.h5", folder / "other.svo.h5")
     for each, name in zip((mesh, mirrored(mesh)), names, strict=True):
@@ -157,7 +157,7 @@ def _in_windows(part: VoxelizeJob, target: Path) -> None:
 
 
 def _many(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
-    """The points of copies of the model, by the command line."""
+    """Yield the points of copies of the model, by the command line."""
     mesh = load_mesh(bench.model)
     grid = Grid.fit(mesh, dim)
     digest = plan_voxelize(mesh, grid, device=bench.timed).run().digest()

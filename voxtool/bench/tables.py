@@ -35,7 +35,7 @@ class Table:
     front: frozenset[int] = frozenset()
 
     def lines(self) -> list[str]:
-        """The table as text: the front is marked with *."""
+        """Return the table as text: the front is marked with *."""
         first = [("* " if i in self.front else "  ") + row[0] for i, row in enumerate(self.rows)]
         cells = [[f"  {self.head[0]}", *self.head[1:]]]
         cells += [[name, *row[1:]] for name, row in zip(first, self.rows, strict=True)]
@@ -47,7 +47,7 @@ class Table:
 
 
 def tables_of(points: Sequence[Point]) -> list[Table]:
-    """The tables of the points of one chart."""
+    """Return the tables of the points of one chart."""
     front = {id(point) for point in pareto(points)}
     marked = frozenset(i for i, point in enumerate(points) if id(point) in front)
     stages = dict.fromkeys(stage for point in points for stage in point.stages)
@@ -83,7 +83,7 @@ def tables_of(points: Sequence[Point]) -> list[Table]:
 
 
 def absent_of(points: Sequence[Point]) -> list[str]:
-    """Why measures are missing in a chart, each reason once."""
+    """Return the reasons why measures are missing in a chart, each once."""
     reasons: dict[str, tuple[dict[str, None], dict[str, None]]] = {}
     for point in points:
         for measure, why in point.absent.items():
@@ -97,7 +97,8 @@ def absent_of(points: Sequence[Point]) -> list[str]:
 
 
 def _table(points: Sequence[Point], note: str, front: frozenset[int], columns: Columns) -> Table:
-    """A table of the columns that some point has, and of the points that have something in it."""
+    """Return a table of the columns that some point has, and of the points that have something in
+    it."""
     texts = {name: [text(point) for point in points] for name, text in columns.items()}
     kept = {name: column for name, column in texts.items() if set(column) != {NONE}}
     rows = [
@@ -109,7 +110,7 @@ def _table(points: Sequence[Point], note: str, front: frozenset[int], columns: C
 
 
 def _error_note(points: Sequence[Point]) -> str:
-    """A line that names the units of the errors."""
+    """Return a line that names the units of the errors."""
     units: dict[str, list[str]] = {}
     for name, unit in MEASURES[points[0].bench].items():
         if any(name in point.errors for point in points):
@@ -119,7 +120,7 @@ def _error_note(points: Sequence[Point]) -> str:
 
 
 def _figures_note(points: Sequence[Point]) -> str:
-    """A line that explains the figures whose names do not."""
+    """Return a line that explains the figures whose names do not."""
     words = {
         "host": "the time that Python adds to the stages",
         "command": "the whole command in its own process",
@@ -167,13 +168,13 @@ def _figure(name: str, point: Point) -> str:
 
 
 def _ratio(points: Sequence[Point], point: Point) -> str:
-    """The time of another tool over voxtool's at the same setting."""
+    """Return the time of another tool over voxtool's at the same setting."""
     ours = next((p for p in points if not p.peer and p.label == point.label), None)
     return f"{point.seconds / ours.seconds:.2g} times" if point.peer and ours else NONE
 
 
 def _over_parity(points: Sequence[Point], point: Point) -> str:
-    """The time of a fill rule over that of parity at the same setting."""
+    """Return the time of a fill rule over that of parity at the same setting."""
     parity = next(
         (p for p in points if p.setting.get("rule") == "parity" and p.label == point.label), None
     )

@@ -40,7 +40,7 @@ SLAB = 0.1  # thickness of each slab of steps, in ranges of the scalar
 
 
 def measure(bench: Bench) -> Iterator[Point | Ablation]:
-    """The points and ablations of a volume."""
+    """Yield the points and ablations of a volume."""
     asked = bench.request
     mesh = read_unstructured(bench.model, asked.scalar, asked.component)
     cells = tetrahedra(bench.timed, volume_cells(mesh)).on_host()
@@ -88,7 +88,7 @@ def measure(bench: Bench) -> Iterator[Point | Ablation]:
 def _isosurfaces(
     volumes: dict[str, TetVolume], cells: ConformingMesh, camera: Camera, bench: Bench
 ) -> Iterator[Point]:
-    """The points of frames of isosurfaces, by method, at the largest size."""
+    """Yield the points of frames of isosurfaces, by method, at the largest size."""
     asked, size = bench.request, max(bench.request.sizes)
     exact_rays, pixels = camera.rays(size, size), pixels_of(asked)
     values, tint = np.quantile(cells.scalars, LEVELS).tolist(), (1.0, 0.5, 0.25, 0.5)
@@ -123,7 +123,7 @@ def _frame(
     integrators: str,
     **_: object,
 ) -> Point:
-    """The point of frames after the first."""
+    """Return the point of frames after the first."""
     draw(volume, device=bench.timed)  # compile the kernels
     volume = replace(volume)  # a copy that no device has yet
     (first,) = timing.times(lambda: draw(volume, device=bench.timed), 1)
@@ -146,7 +146,7 @@ def _frame(
 def _peers_of(
     cells: ConformingMesh, transfer: TransferFunction, exact: ReferencePicture, bench: Bench
 ) -> list[Any]:
-    """The PicturePeers, if other tools are asked for."""
+    """Return the PicturePeers, if other tools are asked for."""
     if not bench.request.peers:
         return []
     return bench.tools.of_volume(
@@ -157,7 +157,7 @@ def _peers_of(
 def reference_picture(
     cells: ConformingMesh, transfer: TransferFunction, camera: Camera, asked: Request
 ) -> ReferencePicture:
-    """The exact colours of `pixels` x `pixels` pixels of the largest picture."""
+    """Return the exact colours of `pixels` x `pixels` pixels of the largest picture."""
     pixels, rays = pixels_of(asked), camera.rays(*[max(asked.sizes)] * 2)
     expected = reference(
         cells.vertices, cells.cells, cells.scalars, transfer, rays, pixels, constant=cells.constant
@@ -166,7 +166,7 @@ def reference_picture(
 
 
 def pixels_of(asked: Request) -> np.ndarray:
-    """Column and row of `pixels` x `pixels` pixels of the largest picture, (N, 2)."""
+    """Return column and row of `pixels` x `pixels` pixels of the largest picture, (N, 2)."""
     largest = max(asked.sizes)
     every = max(largest // asked.pixels, 1)
     middles = np.arange(every // 2, largest, every)  # of squares of pixels
@@ -174,7 +174,7 @@ def pixels_of(asked: Request) -> np.ndarray:
 
 
 def transfer_of(name: str, mesh: ConformingMesh) -> TransferFunction:
-    """A transfer function over the range of a mesh's scalars, by its name.
+    """Return a transfer function over the range of a mesh's scalars, by its name.
 
     x1 goes through five colours, from transparent at the least scalar; x10 and x100 are 10 and 100
     times as opaque. steps has two slabs with jumps at their sides, as opaque as x100.

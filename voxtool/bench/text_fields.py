@@ -55,7 +55,7 @@ FASTER, FASTER_LEVEL = 30.0, 9
 
 
 def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
-    """The rows of a mesh: fields down to levels 6 to 12, or 6 alone."""
+    """Yield the rows of a mesh: fields down to levels 6 to 12, or 6 alone."""
     mesh = load_mesh(bench.model)
     model = f"{Path(bench.model).name}, {len(mesh.faces):,} triangles"
     yield Row(
@@ -80,7 +80,7 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
 
 
 def _hash(row: partial[Row], field: DistanceField, bench: Bench) -> Iterator[Row]:
-    """Rows of the perfect hash of the cells that are stored."""
+    """Yield rows of the perfect hash of the cells that are stored."""
     keys = key_of(*cell_of(field.blocks))
     n, row = len(keys), partial(row, HASH)
     words = f"cells with children of fields of tolerance {TOLERANCE:g}"
@@ -119,7 +119,8 @@ def _hash(row: partial[Row], field: DistanceField, bench: Bench) -> Iterator[Row
 
 
 def _alike(keys: np.ndarray, m: int, r: int) -> int:
-    """The number of keys that are equal to another modulo m and r, which no offset separates."""
+    """Return the number of keys that are equal to another modulo m and r, which no offset
+    separates."""
     side = math.lcm(m, r)
     if side > keys.max():
         return 0
@@ -128,7 +129,7 @@ def _alike(keys: np.ndarray, m: int, r: int) -> int:
 
 
 def _sizes(row: partial[Row], field: DistanceField) -> Iterator[Row]:
-    """Rows of the bytes that shared samples and implicit leaves save."""
+    """Yield rows of the bytes that shared samples and implicit leaves save."""
     n, sizes = len(field.voxels), field.sizes()
     texel = field.cells.shape[-1] * field.cells.itemsize
     every = {
@@ -147,7 +148,7 @@ def _sizes(row: partial[Row], field: DistanceField) -> Iterator[Row]:
 def _searches(
     row: partial[Row], mesh: Mesh, field: DistanceField, level: int, bench: Bench
 ) -> Iterator[Row]:
-    """Rows of each search, in turns, at random points and at points along rays."""
+    """Yield rows of each search, in turns, at random points and at points along rays."""
     bench = replace(bench, request=replace(bench.request, repeat=RUNS, levels=(level,)))
     ask, searches = FieldQuery(field, bench.profiled), bench.request.searches
     for kind, places in points_of(mesh, bench.request).items():

@@ -67,7 +67,7 @@ def sections(rows: Iterable[Row]) -> list[Section]:
 
 
 def source(key: str) -> str:
-    """A source and its hardware."""
+    """Return a source and its hardware."""
     return f"{key} {SOURCES[key]}; {HARDWARE[key]}"
 
 
@@ -79,7 +79,7 @@ def _by(rows: Iterable[Row], key: Callable[[Row], K]) -> dict[K, list[Row]]:
 
 
 def _parts(rows: Sequence[Row]) -> Iterator[Part]:
-    """The parts of a section: what has the same models and settings stands in one table."""
+    """Yield the parts of a section: what has the same models and settings stands in one table."""
     alike: dict[tuple[str, tuple[str, ...]], list[Group]] = {}
     for some in _by(rows, lambda row: (row.text_model, row.model, row.what, row.unit)).values():
         settings = tuple(dict.fromkeys(row.setting for row in some))
@@ -139,7 +139,7 @@ def _words(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def as_text(found: Sequence[Section], keys: Iterable[str]) -> Iterator[str]:
-    """The lines of the sections, for a terminal."""
+    """Yield the lines of the sections, for a terminal."""
     for words in (READING, *map(source, keys)):
         yield ""
         yield from textwrap.wrap(words, WIDTH)

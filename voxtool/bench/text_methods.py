@@ -118,7 +118,7 @@ METHODS = {
 
 
 def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
-    """The rows of a mesh."""
+    """Yield the rows of a mesh."""
     bench = replace(bench, request=replace(bench.request, repeat=RUNS))
     mesh = load_mesh(bench.model)
     model = f"{Path(bench.model).name}, {len(mesh.faces):,} triangles"
@@ -146,8 +146,8 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
 def _run(
     bench: Bench, job: Job[Octree], methods: Sequence[Method]
 ) -> tuple[Octree, dict[str, Runs], dict[str, str]]:
-    """The octree of a job, and by way, "" as planned, the seconds of its stages in each run; and
-    for each way that is forced, words on its octree."""
+    """Return the octree of a job, and by way, "" as planned, the seconds of its stages in each run;
+    and for each way that is forced, words on its octree."""
     jobs = {way: job.with_(**forced) for m in methods for way, forced in m.ways.items()}
     octree = job.run()
     same = {way: other.run().digest() == octree.digest() for way, other in jobs.items()}
@@ -161,7 +161,7 @@ def _compared(same: bool, what: str) -> str:
 
 
 def _compactions(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator[Row]:
-    """Rows of marching cubes by the scan and by histogram pyramids."""
+    """Yield rows of marching cubes by the scan and by histogram pyramids."""
     scan = plan_extract(octree, style=MARCHING_CUBES, level=0, device=bench.profiled)
     jobs = {name: scan.with_(compaction=name) for name in COMPACTIONS}
     surfaces = {name: job.run().digest() for name, job in jobs.items()}
@@ -180,7 +180,7 @@ def _compactions(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator
 
 
 def _cubes(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator[Row]:
-    """Rows of marching cubes on the cubes that an octree needs, and on all."""
+    """Yield rows of marching cubes on the cubes that an octree needs, and on all."""
     sparse = plan_extract(octree, style=MARCHING_CUBES, level=0, device=bench.profiled)
     naive = sparse.with_(naive=True)
     if not naive.plan.fits(naive.limit, bench.profiled.info.max_allocation):
@@ -198,7 +198,7 @@ def _cubes(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator[Row]:
 
 
 def _tables(model: str) -> Iterator[Row]:
-    """Rows of the tables of Morton codes."""
+    """Yield rows of the tables of Morton codes."""
     row = partial(Row, "[voCCeL] section 5.1", model, setting="", unit="bytes")
     yield row("table for encoding", voxtool=MORTON_TABLE.nbytes, text=3 * 256 * 4,
               ours="numbers of 4 bytes, by axis and byte",
@@ -206,7 +206,7 @@ def _tables(model: str) -> Iterator[Row]:
 
 
 def _milliseconds(runs: Runs, names: Sequence[str]) -> dict[str, Any]:
-    """The median of the sums of stages, and its spread, as fields of a Row."""
+    """Return the median of the sums of stages, and its spread, as fields of a Row."""
     seconds = [sum(run.get(name, 0.0) for name in names) for run in runs]
     return {"voxtool": 1000 * statistics.median(seconds), "spread": timing.spread(seconds)}
 

@@ -1,4 +1,4 @@
-"""What the texts name beside their own structures: the classic octree of pointers with eight
+"""Peers that the texts name beside their own structures: the classic octree of pointers with eight
 samples a cell, the hash of vertices that [ADF] ascribes to Bærentzen, hashing with probes, samples
 that cousins share, and Morton codes decoded by table.
 
@@ -33,7 +33,7 @@ FIELD, DECODE = "bench/field_peers.cl", "bench/morton_decode.cl"
 GROUP = 16  # points of a block that wait for each other, as [ADF] has it
 FULLEST = 0.7  # of slots that are probed
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # the multiplier of field_peers.cl
-AXIS_BITS = 21  # of a vertex in its key
+AXIS_BITS = 21  # bits of a vertex in its key
 CODES = 1 << 20  # that are decoded
 CORNERS = np.indices((2, 2, 2)).reshape(3, 8).T[:, ::-1]  # x first
 EIGHT, VERTICES = "pointers, eight samples a cell", "pointers, vertices in a hash"
@@ -205,7 +205,7 @@ class Peers:
 def field_rows(
     row: partial[Row], field: DistanceField, points: Mapping[str, np.ndarray], bench: Bench
 ) -> Iterator[Row]:
-    """Rows of the peers of a field, at points of each kind, by its name."""
+    """Yield rows of the peers of a field, at points of each kind, by its name."""
     peers, ask = Peers(field, bench.profiled), FieldQuery(field, bench.profiled)
     tables = {EIGHT: "3.1", VERTICES: "3.1", PERFECT: "3.4", PROBED: "3.4"}
     for what, places in points.items():
@@ -265,7 +265,7 @@ def decode(codes: np.ndarray, device: Device, by_table: bool) -> np.ndarray:
 
 
 def decoding_rows(row: partial[Row], bench: Bench) -> Iterator[Row]:
-    """Rows of Morton codes that are decoded by bits and by table."""
+    """Yield rows of Morton codes that are decoded by bits and by table."""
     table = decoding_table()
     yield row("[voCCeL] section 5.1", what="table for decoding", unit="bytes", text=table.size,
               voxtool=table.nbytes, ours="numbers of a byte, by axis and nine bits; codes are "

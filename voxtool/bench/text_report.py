@@ -17,7 +17,7 @@ FIGURES = ("[voCCeL] figure 7.1", "[voCCeL] figure 7.2")  # of times; others hav
 
 
 def as_dict(rows: list[Row], device: DeviceInfo, command: str) -> dict[str, Any]:
-    """The JSON of docs/benchmarks.md."""
+    """Return the JSON of docs/benchmarks.md."""
     return {
         "voxtool": __version__, "command": command, "device": device.as_dict(),
         "machine": machine(), "rows": [row.as_dict() for row in rows],
@@ -25,7 +25,8 @@ def as_dict(rows: list[Row], device: DeviceInfo, command: str) -> dict[str, Any]
 
 
 def figures_of(rows: list[Row]) -> dict[str, list[Chart]]:
-    """The figures of the texts, drawn of voxtool's times: the charts of each, one a model."""
+    """Return the figures of the texts, drawn of voxtool's times: the charts of each, one a
+    model."""
     lines: dict[tuple[str, str], dict[str, list[tuple[float, float, float]]]] = {}
     for row in rows:
         if row.table in FIGURES and row.unit == "ms" and row.voxtool:

@@ -50,7 +50,7 @@ INTEGRATORS = {"linear": "exact segments", "preintegrated": "pre-integration"}
 
 
 def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
-    """The rows of a volume."""
+    """Yield the rows of a volume."""
     size, pixels = (64, 16) if quick else (256, 32)
     asked = replace(bench.request, sizes=(size,), pixels=pixels)
     bench = replace(bench, request=asked)
@@ -98,7 +98,7 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
 
 
 def _hexahedra(bench: Bench, side: int) -> Iterator[Row]:
-    """Rows of hexahedra that stay whole, and of the tetrahedra that they are split into."""
+    """Yield rows of hexahedra that stay whole, and of the tetrahedra that they are split into."""
     points = np.indices((side + 1,) * 3).reshape(3, -1).T.astype(np.float64)
     low = np.indices((side,) * 3).reshape(3, -1).T
     corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0),
@@ -133,8 +133,8 @@ def _hexahedra(bench: Bench, side: int) -> Iterator[Row]:
 def _control_points(
     volume: TetVolume, transfer: TransferFunction, model: str, bench: Bench
 ) -> Iterator[Row]:
-    """Rows of the search for the control points that a segment crosses: all are compared, or a
-    table of scalars says where to begin."""
+    """Yield rows of the search for the control points that a segment crosses: all are compared, or
+    a table of scalars says where to begin."""
     low, high = transfer.scalars[[0, -1]]
     for number in POINTS:
         scalars = np.linspace(low, high, number)
@@ -158,7 +158,7 @@ def _control_points(
 def _changes(
     volume: TetVolume, transfer: TransferFunction, model: str, bench: Bench
 ) -> Iterator[Row]:
-    """Rows of a change of the transfer function."""
+    """Yield rows of a change of the transfer function."""
     low, width = transfer.scalars[0], float(np.ptp(transfer.scalars))
     moves = count(1)
 

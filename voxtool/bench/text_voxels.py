@@ -74,7 +74,7 @@ NOTES = {
 
 
 def beside(triangles: dict[str, int]) -> dict[str, list[str]]:
-    """The models of [voCCeL] that stand beside each mesh, from the triangles of each file.
+    """Return the models of [voCCeL] that stand beside each mesh, from the triangles of each file.
 
     Each of its models stands beside the mesh of its name, or else the nearest by triangles; a
     mesh that is the nearest to none stands beside the model that is nearest to it.
@@ -93,7 +93,7 @@ def _nearest(count: int, counts: dict[str, int]) -> str:
 
 
 def rows_of(bench: Bench, quick: bool, models: Sequence[str]) -> Iterator[Row]:
-    """The rows of a mesh, beside those of models of [voCCeL]."""
+    """Yield the rows of a mesh, beside those of models of [voCCeL]."""
     mesh = load_mesh(bench.model)
     n, name = len(mesh.faces), Path(bench.model).name
     dims = DIMS[:QUICK_DIMS] if quick else DIMS
@@ -129,11 +129,11 @@ class Figure:
     way: str = ""
 
     def place(self) -> tuple[int, int]:
-        """The table, and the place in it: by columns, then what [voCCeL] does not have."""
+        """Return the table, and the place in it: by columns, then what [voCCeL] does not have."""
         return self.table, self.column if isinstance(self.column, int) else SIZE + 1
 
     def text(self, model: str, dim: int) -> float | None:
-        """The figure of [voCCeL]; None if it has none."""
+        """Return the figure of [voCCeL]; None if it has none."""
         if self.column is None:
             return None
         if isinstance(self.column, str):
@@ -144,7 +144,7 @@ class Figure:
 
 
 def _figures(bench: Bench, mesh: Mesh, dim: int) -> Iterator[Figure]:
-    """The figures of a mesh at a dim."""
+    """Yield the figures of a mesh at a dim."""
     grid, octree = Grid.fit(mesh, dim, fit="stretch"), None
     for mode in TOTALS:
         plan = partial(plan_voxelize, mesh, grid, mode, fill="parity")
@@ -175,7 +175,7 @@ def _figures(bench: Bench, mesh: Mesh, dim: int) -> Iterator[Figure]:
 
 
 def _totals(table: int, column: int | str, what: str, measured: dict[str, Any]) -> Iterator[Figure]:
-    """The sum of the stages, and the time of a call."""
+    """Yield the sum of the stages, and the time of a call."""
     names = list(on_device(measured["stages"]))
     yield Figure(table, column, what, "ms", _sum(measured, names), SUM, way="stages")
     whole = 1000 * statistics.median(measured["runs"])
@@ -183,17 +183,17 @@ def _totals(table: int, column: int | str, what: str, measured: dict[str, Any]) 
 
 
 def on_device(stages: Mapping[str, float]) -> dict[str, float]:
-    """The stages of a result that stays on the device."""
+    """Return the stages of a result that stays on the device."""
     return {name: seconds for name, seconds in stages.items() if name != "read back"}
 
 
 def _sum(measured: dict[str, Any], names: Sequence[str]) -> float:
-    """The milliseconds of stages."""
+    """Return the milliseconds of stages."""
     return 1000 * sum(measured["stages"].get(name, 0.0) for name in names)
 
 
 def _measured(bench: Bench, plan: partial[Any]) -> tuple[dict[str, Any], Octree]:
-    """The runs and the stages of a job, and its result."""
+    """Return the runs and the stages of a job, and its result."""
 
     def run(device: Device) -> Any:
         return plan(device=device).run()

@@ -21,7 +21,8 @@ MESH_STEPS, VOLUME_STEPS = ("tables", "methods", "fields"), ("volume",)
 
 
 def steps_of(models: Sequence[str]) -> list[str]:
-    """The steps that `rows_of` reports, in order; a model that is named twice counts once."""
+    """Return the steps that `rows_of` reports, in order; a model that is named twice counts
+    once."""
     steps = {model: VOLUME_STEPS if is_volume(model) else MESH_STEPS for model in models}
     return [f"{step}, {model}" for model, names in steps.items() for step in names]
 
@@ -33,7 +34,7 @@ def rows_of(
     scalar: str | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Row]:
-    """The rows of each model.
+    """Return the rows of each model.
 
     Parameters
     ----------

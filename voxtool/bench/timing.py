@@ -30,24 +30,24 @@ LONG = 5.0  # seconds of work whose stages are timed without a warm-up: compilin
 
 
 def timed(work: Callable[[], T]) -> tuple[float, T]:
-    """Seconds of a run, and its result."""
+    """Return the seconds of a run, and its result."""
     start = time.perf_counter()
     made = work()
     return time.perf_counter() - start, made
 
 
 def times(work: Callable[[], object], repeat: int) -> list[float]:
-    """Seconds of each of `repeat` runs."""
+    """Return the seconds of each of `repeat` runs."""
     return [timed(work)[0] for _ in range(repeat)]
 
 
 def spread(seconds: Sequence[float]) -> float:
-    """The slowest run minus the fastest, over the median."""
+    """Return the slowest run minus the fastest, over the median."""
     return (max(seconds) - min(seconds)) / statistics.median(seconds)
 
 
 def by_turns(request: Request, *works: Callable[[], object]) -> list[list[float]]:
-    """Seconds of each run of each work, in turns, so that other load slows all of them.
+    """Return the seconds of each run of each work, in turns, so that other load slows all of them.
 
     Each has `request.repeat` runs; short work has more, up to MOST_RUNS, until the first work took
     `request.seconds` in total.
@@ -96,7 +96,7 @@ class Bench:
         places: int | None = None,
         **fields: Any,
     ) -> Point:
-        """A point of this bench and model.
+        """Return a point of this bench and model.
 
         Parameters
         ----------
@@ -119,7 +119,8 @@ class Bench:
         )  # fmt: skip
 
     def measured(self, work: Callable[[Device], object]) -> dict[str, Any]:
-        """The runs, the stages and the figure "host" of a Point, for work that takes a device.
+        """Return the runs, the stages and the figure "host" of a Point, for work that takes a
+        device.
 
         The stages are medians; "host" is the time that Python adds to them in the same runs.
         """
@@ -131,8 +132,8 @@ class Bench:
     def profile(
         self, *works: Callable[[], object], warm_up: bool = True
     ) -> list[tuple[dict[str, float], float]]:
-        """The seconds of the stages of each work on the profiled device, and those that Python
-        adds; medians of runs in turns, after one that does not count if `warm_up`."""
+        """Return the seconds of the stages of each work on the profiled device, and those that
+        Python adds; medians of runs in turns, after one that does not count if `warm_up`."""
         found = []
         for runs in self.stage_runs(*works, warm_up=warm_up):
             stages = {
@@ -147,8 +148,8 @@ class Bench:
     def stage_runs(
         self, *works: Callable[[], object], warm_up: bool = True
     ) -> list[list[dict[str, float]]]:
-        """The seconds of the stages of each run of each work, and of the whole run as WHOLE; as of
-        profile."""
+        """Return the seconds of the stages of each run of each work, and of the whole run as WHOLE;
+        as of profile."""
         found: list[list[dict[str, float]]] = [[] for _ in works]
         for _ in range(self.request.repeat + warm_up):
             for work, runs in zip(works, found, strict=True):
@@ -170,7 +171,7 @@ class Peers:
         self.slow: set[str] = set()  # names of the tools that are skipped
 
     def times(self, name: str, work: Callable[[], Any]) -> tuple[list[float], Any]:
-        """Seconds of each run, and the last result; no runs if the tool is skipped."""
+        """Return the seconds of each run, and the last result; no runs if the tool is skipped."""
         if name in self.slow:
             return [], None
         warm, made = timed(work)
@@ -195,7 +196,7 @@ print(code, seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 
 def command(*words: str, output: str, device: Device) -> tuple[float, int]:
-    """Seconds and peak resident bytes of `voxtool` with these words, in its own process.
+    """Return the seconds and peak resident bytes of `voxtool` with these words, in its own process.
 
     Parameters
     ----------

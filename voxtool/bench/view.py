@@ -33,7 +33,7 @@ WRITERS: dict[type, tuple[str, Callable[[Any, Path], None]]] = {
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """The points of a model."""
+    """Yield the points of a model."""
     asked = bench.request
     if is_volume(bench.model):
         mesh = read_unstructured(bench.model, asked.scalar, asked.component)

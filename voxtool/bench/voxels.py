@@ -62,7 +62,7 @@ SOLID, SURFACE = "mesh to solid voxels", "mesh to voxels of the surface"
 
 
 def measure_voxelize(bench: Bench) -> Iterator[Point | Ablation]:
-    """The points and ablations of voxelizing a model."""
+    """Yield the points and ablations of voxelizing a model."""
     asked, mesh, others = bench.request, load_mesh(bench.model), timing.Peers(bench.request.repeat)
     solid = Reference(*capped(mesh), asked.samples, bench.timed, NO_AREA)
     surface = Reference(mesh, 0, asked.samples, bench.timed, NO_AREA | NO_SOLID)
@@ -105,8 +105,9 @@ def dense_fits(grid: Grid, dim: int, mode: str) -> bool:
 def _fills(
     mesh: Mesh, grid: Grid, row: partial[Point], against: Reference, bench: Bench, settings: dict
 ) -> Iterator[Point]:
-    """A point for each fill rule; the rule that "auto" chose is measured once, unless it fills
-    another mesh. Its comparison of rules is kept with the mesh, and is part of a first run."""
+    """Yield a point for each fill rule; the rule that "auto" chose is measured once, unless it
+    fills another mesh. Its comparison of rules is kept with the mesh, and is part of a first
+    run."""
     asked, mode, chosen = bench.request, settings["modes"], None
     solid = mode == "solid"
     outer = _outer_surface(mesh, grid, bench.timed) if solid and against.samples else None
@@ -142,27 +143,28 @@ def _fills(
 
 
 def lattice_share(mesh: Mesh, grid: Grid, octree: Octree, device: Device) -> float:
-    """The share of the voxels of a surface that rounding to 1/256 voxel changes: those that differ
-    from the set of the mesh on the finest lattice."""
+    """Return the share of the voxels of a surface that rounding to 1/256 voxel changes: those that
+    differ from the set of the mesh on the finest lattice."""
     bits = grid.finest_bits(mesh.bounds)
     fine = plan_voxelize(mesh, grid, octree.mode, bits=bits, device=device).run()
     return sum(count_differences(octree, fine)) / max(fine.count, 1)
 
 
 def _first_run(mesh: Mesh, grid: Grid, mode: str, fill: str, device: Device) -> float:
-    """Seconds of voxelizing a mesh of which nothing is known yet."""
+    """Return the seconds of voxelizing a mesh of which nothing is known yet."""
     plan = partial(plan_voxelize, replace(mesh), grid, mode, fill=fill, device=device)
     return timing.timed(lambda: plan().run())[0]
 
 
 def _outer_surface(mesh: Mesh, grid: Grid, device: Device) -> Octree:
-    """The voxels of the outer surface of a mesh."""
+    """Return the voxels of the outer surface of a mesh."""
     surface = voxelize(mesh, grid, "surface26", device=device)
     return outer_surface(surface, voxelize(mesh, grid, fill="flood", device=device), device)
 
 
 def _errors(against: Reference, made: Callable[[], Octree], device: Device) -> Any:
-    """The `errors` and `absent` of a Point of voxels; without samples nothing is made of them."""
+    """Return the `errors` and `absent` of a Point of voxels; without samples nothing is made of
+    them."""
     if not against.samples:
         absent = dict.fromkeys(MEASURES["voxelize"], "errors are left out with --samples 0")
         return {"errors": {}, "absent": absent}
@@ -170,12 +172,13 @@ def _errors(against: Reference, made: Callable[[], Octree], device: Device) -> A
 
 
 def boundary(octree: Octree, device: Device) -> Mesh:
-    """The faces between set and empty voxels."""
+    """Return the faces between set and empty voxels."""
     return extract(octree, style=VOXEL_FACES, device=device).mesh()
 
 
 def _with_command(point: Point, bench: Bench, *words: str, output: str) -> Point:
-    """The point with the time and the peak memory of a whole command, if these are asked for."""
+    """Return the point with the time and the peak memory of a whole command, if these are asked
+    for."""
     if not bench.request.commands:
         return point
     seconds, peak = timing.command(*words, output=output, device=bench.timed)
@@ -186,7 +189,7 @@ def _with_command(point: Point, bench: Bench, *words: str, output: str) -> Point
 
 
 def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
-    """The points and ablations of extracting surfaces from solid octrees of a model."""
+    """Yield the points and ablations of extracting surfaces from solid octrees of a model."""
     asked, mesh, others = bench.request, load_mesh(bench.model), timing.Peers(bench.request.repeat)
     against = Reference(*capped(mesh), asked.samples, bench.timed)
     for dim, style in product(asked.dims, asked.styles):
@@ -247,14 +250,14 @@ def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
 
 
 def _of_fractions(mesh: Mesh, dim: int, style: str, against: Reference, bench: Bench) -> Point:
-    """The point of a surface of the fractions of voxels."""
+    """Return the point of a surface of the fractions of voxels."""
     grid, fill = Grid.fit(mesh, dim), bench.request.fills[0]
     octree = plan_fractions(mesh, grid, fill=fill, device=bench.timed).run()
     return _of_voxels(octree, dim, style, f"{style}, fractions", against, bench)
 
 
 def _adaptive(mesh: Mesh, dim: int, against: Reference, bench: Bench) -> Point:
-    """The point of surface nets with cells of different size."""
+    """Return the point of surface nets with cells of different size."""
     grid, fill = Grid.fit(mesh, dim), bench.request.fills[0]
     octree = voxelize(mesh, grid, "solid", fill=fill, device=bench.timed)
     method, tolerance = f"{SURFACE_NETS}, adaptive {ADAPTIVE:g} voxel", ADAPTIVE * max(grid.pitch)
@@ -264,7 +267,8 @@ def _adaptive(mesh: Mesh, dim: int, against: Reference, bench: Bench) -> Point:
 def _of_voxels(
     octree: Octree, dim: int, style: str, method: str, against: Reference, bench: Bench, **more: Any
 ) -> Point:
-    """The point of a surface whose samples are voxels; `more`: further options of plan_extract."""
+    """Return the point of a surface whose samples are voxels; `more`: further options of
+    plan_extract."""
     asked, pitch = bench.request, max(octree.grid.pitch)
     plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue, **more)
     job = plan(device=bench.timed)
@@ -286,7 +290,7 @@ def _of_voxels(
 
 
 def coverage_grid(octree: Octree) -> np.ndarray:
-    """(nz, ny, nx) uint8: the set voxels of each brick of the octree's cube."""
+    """Return (nz, ny, nx) uint8: the set voxels of each brick of the octree's cube."""
     n = octree.grid.side // BRICK_SIDE
     grid = np.zeros((n, n, n), np.uint8)
     for level in octree.levels():
@@ -302,7 +306,7 @@ def coverage_grid(octree: Octree) -> np.ndarray:
 
 
 def _cubes(octree: Octree, surface: Isosurface) -> dict[str, float]:
-    """The size of a surface, and the shares of the grid's samples that were visited."""
+    """Return the size of a surface, and the shares of the grid's samples that were visited."""
     samples = -(-max(octree.grid.shape) // surface.side)
     found: dict[str, float] = {
         "vertices": len(surface.points),
@@ -317,7 +321,7 @@ def _cubes(octree: Octree, surface: Isosurface) -> dict[str, float]:
 
 
 def visited_cubes(octree: Octree) -> int:
-    """The number of cubes with a corner in a level 0 node: the nodes and the NullCubes of
+    """Return the number of cubes with a corner in a level 0 node: the nodes and the NullCubes of
     [voCCeL], section 4.1, all of which its algorithm visits."""
     cells = octree.levels()[-1].cells // BRICK_SIDE
     for axis in range(3):

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @together(
     option("--tolerance", float,
         f"Error that leaves may have, in sides of the cube.  [default: {DEFAULT_TOLERANCE}]"),
-    option("--tolerance-world", float, "The same in the mesh's own units."),
+    option("--tolerance-world", float, "Error that leaves may have, in the mesh's own units."),
     option("--max-level", click.IntRange(1, MAX_LEVEL),
         "Level at which leaves are no longer refined.  The root has level 0.", DEFAULT_MAX_LEVEL),
     option("--band", float,

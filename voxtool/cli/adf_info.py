@@ -34,7 +34,7 @@ def command(file: str, **asked: bool) -> None:
 
 
 def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
-    """The lines of a summary, if verbose with how it is stored."""
+    """Yield the lines of a summary, if verbose with how it is stored."""
     unit = f" {info['units']}" if info["units"] else ""
     side = info["side"]
 

@@ -66,8 +66,8 @@ PLANE = Parsed(
     option("--size", click.IntRange(200, 8192),
         f"Pixels of the picture's width.  [default: {SLICE_SIZE}]"),
     option("--max-memory", BYTES,
-        "Leave a larger FIELD in its file, and read of it what POINTS ask for (800M, 8G); values "
-        "are the same.  [default: half of what is free]", metavar="BYTES"),
+        "Leave a larger FIELD in its file, and read only what POINTS need (800M, 8G), for the "
+        "same values.  [default: half of what is free]", metavar="BYTES"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options(

@@ -54,36 +54,36 @@ COUNT = click.IntRange(1, 100_000_000)
 # are tuples take several values.
 OPTIONS: dict[str, tuple[Any, ...]] = {
     "dims": (DIM, "Voxels along the longest side.", "DIM,..."),
-    "modes": (MODES, "Modes, as of `voxtool voxelize`."),
-    "fills": (FILLS, "Fill rules of solids, as of `voxtool voxelize`; surfaces take the first."),
+    "modes": (MODES, "Modes, as in `voxtool voxelize`."),
+    "fills": (FILLS, "Fill rules of solids, as in `voxtool voxelize`; surfaces take the first."),
     "fit": (FITS, "stretch: eq. (5.1) of [voCCeL], as its tables."),
     "samples": (click.IntRange(0, 100_000_000), "Points on each surface at which errors are "
                 "measured; with 0, no distances, which take minutes on millions of triangles, and "
                 "no errors of voxels."),
     "styles": (options.Alias(STYLES, STYLE_ALIASES),
-               "Styles, as of `voxtool extract`: marching-cubes of level 0, the others of voxels."),
+               "Styles, as in `voxtool extract`: marching-cubes of level 0, the others of voxels."),
     "isovalue": (float, "Between 0 and 1."),
     "tolerances": (click.FloatRange(min=0),
                    "Errors that leaves may have, in sides of the cube.", "LENGTH,..."),
     "levels": (click.IntRange(1, MAX_LEVEL),
                "Finest levels of fields, as --max-level of `voxtool adf-build`.", "LEVEL,..."),
-    "band": (float, "As of `voxtool adf-build`.  [default: everywhere]"),
-    "fill": (POINT_FILLS, "As of `voxtool adf-build` and `voxtool distance`.  [default: auto]"),
+    "band": (float, "As in `voxtool adf-build`.  [default: everywhere]"),
+    "fill": (POINT_FILLS, "As in `voxtool adf-build` and `voxtool distance`.  [default: auto]"),
     "points": (COUNT, "Points at which distances are computed."),
     "kinds": (KINDS, "Points: random, or along rays."),
-    "searches": (SEARCHES, "How the leaf of a point is found, as of `voxtool adf-query`."),
+    "searches": (SEARCHES, "How the leaf of a point is found, as in `voxtool adf-query`."),
     "grids": (DIM, "Voxels along the longest side of dense grids.", "DIM,..."),
-    "sizes": (click.IntRange(1, 8192), "Pixels along each side; errors are of the largest.",
+    "sizes": (click.IntRange(1, 8192), "Pixels along each side; errors are those of the largest.",
               "PIXELS,..."),
     "pixels": (COUNT, "Pixels along each side at which errors are measured."),
-    "view": (VIEWS, "As of `voxtool render`; orthographic."),
-    "methods": (METHODS, "As of `voxtool render`."),
-    "integrators": (click.STRING, "As of `voxtool render`."),
+    "view": (VIEWS, "As in `voxtool render`; orthographic."),
+    "methods": (METHODS, "As in `voxtool render`."),
+    "integrators": (click.STRING, "As in `voxtool render`."),
     "transfers": (TRANSFERS, "Transfer functions: five colours, times as opaque, or two slabs."),
     "triangles": (COUNT, "Most triangles of a mesh that is subdivided."),
     "cells": (COUNT, "Most cells of a volume that is subdivided."),
-    "scalar": (str, "As of `voxtool tet-build`.", "NAME"),
-    "component": (str, "As of `voxtool tet-build`.", "NAME"),
+    "scalar": (str, "As in `voxtool tet-build`.", "NAME"),
+    "component": (str, "As in `voxtool tet-build`.", "NAME"),
 }  # fmt: skip
 ALIASES = {"levels": "--max-level", "sizes": "--size"}
 COMMANDS = {
@@ -199,9 +199,9 @@ COMMANDS = {
     """,
     "fractions": """Measure how much of each voxel of MODELS lies inside: fractions and sampling.
 
-    Fractions of each type, and of faces, 1,000 points a voxel up to dim 64, and the binary solid:
-    the error of cut voxels against float32 fractions, and that of the volume against the mesh's,
-    exactly.
+    Compare fractions of each type, fractions of faces, 1,000 points a voxel up to dim 64, and the
+    binary solid: the error of cut voxels is against float32 fractions, and that of the volume
+    against the mesh's, exactly.
 
     \b
     Examples:
@@ -210,8 +210,9 @@ COMMANDS = {
     """,
     "attributes": """Measure octrees with labels, normals and colours, beside those without.
 
-    Of labels of shells an error is a voxel without that of the first shell that sets it, each
-    voxelized alone; of normals and colours an octree that sets other voxels: there must be none.
+    With labels of shells, an error is a voxel without the label of the first shell that sets it,
+    each voxelized alone. With normals and colours, it is an octree that sets other voxels. There
+    must be none.
 
     \b
     Examples:

@@ -15,7 +15,7 @@ from voxtool.errors import printable
 @click.command("texts")
 @click.argument("models", nargs=-1, required=True)
 @flag("--quick", "Few dims and levels: under a minute a model.")
-@option("--scalar", str, "As of `voxtool tet-build`.", metavar="NAME")
+@option("--scalar", str, "As in `voxtool tet-build`.", metavar="NAME")
 @option("-o --output", str, "Write a report: report.html and .json.", metavar="FOLDER")
 @options.clobber_option
 @options.device_option
@@ -27,10 +27,10 @@ def command(
 ) -> None:  # fmt: skip
     """Repeat the experiments of the texts that voxtool implements, with their figures beside.
 
-    Of triangle meshes: the tables, figures and methods of [voCCeL], and the hash, searches and
-    sizes of [ADF]. For volume meshes: the textures and the integration of [TetVol]. Units stand
-    beside what is measured, ms for times. Misprints are marked and not compared. docs/references.md
-    names the texts.
+    Triangle meshes serve for the tables, figures and methods of [voCCeL], and for the hash,
+    searches and sizes of [ADF]; volume meshes for the textures and the integration of [TetVol].
+    Units stand beside what is measured, ms for times. Misprints are marked and not compared.
+    docs/references.md names the texts.
 
     \b
     Examples:

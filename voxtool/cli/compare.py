@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.argument("second")
 @runner.job_options(
     "FILE",
-    "Where to write the voxels that are set in only one of the two, as an octree or an export.  "
+    "It gets the voxels that are set in only one of the two, as an octree or an export.  "
     "[default: nowhere]",
     *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip

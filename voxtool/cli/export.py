@@ -54,8 +54,8 @@ def number_of(text: str) -> int | str:
         "such direction, as deep inside."),
     option("--attribute attributes", str,
         "Octrees: the attributes that are written (label, colour, normal, area, "
-        "fraction, faces), or none.  [default: all that the format can hold, of one array the "
-        "label]",
+        "fraction, faces), or none.  [default: all that the format can hold, the label if it "
+        "holds one]",
         metavar="NAME[,NAME...]"),
     option("--band", POSITIVE,
         "Level sets of fields: the half-width, in voxels.  [default: 3]", metavar="VOXELS"),

@@ -214,7 +214,7 @@ def command(
 def windows_of(
     run: runner.Run, octree: OctreeContent, request: dict[str, Any]
 ) -> SurfaceWindowsJob | None:
-    """Return the extraction in windows of an octree that does not fit in memory as a whole, or
+    """Return the extraction in windows of an octree that does not fit in memory, or
     None if it fits, or cannot be written in windows, as with fractions or colours."""
     from voxtool.svo.surface.extract import fits_whole, plan_unread
 

@@ -33,7 +33,7 @@ NUMBER = Parsed("float", number_of, " is not a valid float.")
 @click.argument("file")
 @together(
     option("--threshold", NUMBER, "Set what has this value or more.  [default: what is not 0]"),
-    option("--label", NUMBER, "Set what has this value alone."),
+    option("--label", NUMBER, "Set only what has exactly this value."),
     flag("--as-field", "Make a distance field: the values are signed distances, in world units."),
     option("--tolerance", float,
         "Fields: error at which a cell is no longer refined, in sides of its cube.  "
@@ -54,7 +54,7 @@ NUMBER = Parsed("float", number_of, " is not a valid float.")
 )  # fmt: skip
 @runner.run_options(
     options.output_options(
-        "OUT", "Default FILE's name with .svo.h5, or .adf.h5 of a field, in this folder."
+        "OUT", "Default FILE's name with .svo.h5, or .adf.h5 for a field, in this folder."
     ),
     options.format_option(*OCTREE_FORMATS, "adf.h5"),
     options.plan_options,

@@ -92,7 +92,7 @@ def section(title: str, pairs: Any) -> Iterator[str]:
 
 
 def _flattened(pairs: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield names and values, of a dict of dicts those of each inner one."""
+    """Yield names and values; a dict in the dict yields its own."""
     for name, value in pairs.items():
         if not isinstance(value, dict):
             yield name, _shown(value)

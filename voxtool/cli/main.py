@@ -116,7 +116,7 @@ def naming_causes() -> Iterator[None]:
 
 
 def reader_has_gone(error: BaseException) -> bool:
-    """True if nobody reads stdout any more, as in `voxtool ... | head -1`."""
+    """Return True if nobody reads stdout any more, as in `voxtool ... | head -1`."""
     cause: BaseException | None = error
     while cause and not isinstance(cause, BrokenPipeError):
         cause = cause.__cause__

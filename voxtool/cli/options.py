@@ -205,7 +205,7 @@ clobber_options = together(
     clobber_option,
     flag("--overwrite", "Let the output replace an input of the command."),
 )
-strict_option = flag("--strict", "Exit with 1 if there is a warning of the input or the result.")
+strict_option = flag("--strict", "Exit with 1 if there is a warning about the input or the result.")
 json_option = flag("--json as_json", "Print JSON.")
 quiet_option = flag("-q --quiet", "Nothing on stderr but errors.")
 verbose_option = flag("-v --verbose", "The device, and the time of each stage, on stderr.")
@@ -218,7 +218,7 @@ plan_options = together(
 
 
 def length_options(mesh: str = "the mesh") -> Decorator:
-    """--units and --scale."""
+    """Add --units and --scale."""
     return together(
         option("--units", LENGTH_UNITS,
             f"What the numbers of {mesh} mean, once scaled.  [default: what the file says]"),
@@ -227,7 +227,7 @@ def length_options(mesh: str = "the mesh") -> Decorator:
 
 
 def normalize_option(stored: str) -> Decorator:
-    """--normalize."""
+    """Add --normalize."""
     return option("--normalize", NORMALIZED,
         "Place the mesh first: unit: in the cube [0,1]^3, centred, its longest side 1; sphere: in "
         f"the ball of radius 1 at 0, its bounding box centred.  The transform is {stored}."
@@ -235,12 +235,12 @@ def normalize_option(stored: str) -> Decorator:
 
 
 def format_option(*formats: str) -> Decorator:
-    """--format, as file_format."""
+    """Add --format, as file_format."""
     return option("--format file_format", formats, "File format, instead of what the name says.")
 
 
 def output_options(metavar: str, default: str) -> Decorator:
-    """-o, --no-clobber and --overwrite."""
+    """Add -o, --no-clobber and --overwrite."""
     about = f"Where to write; - is stdout. {default}"
     return together(option("-o --output", str, about, metavar=metavar), clobber_options)
 
@@ -274,7 +274,8 @@ def shown(source: str) -> str:
 
 
 def output_of(source: str, extension: str) -> str:
-    """bunny.obj.gz or bunny.svo.h5 -> bunny.EXTENSION, in the current folder; stdin -> stdout."""
+    """Return the output of an input: bunny.EXTENSION in the current folder for bunny.obj.gz and
+    bunny.svo.h5, stdout for stdin."""
     if source == "-":
         return "-"
     name = PurePath(source).name
@@ -326,7 +327,7 @@ def warn(message: str) -> None:
 
 
 def is_quiet() -> bool:
-    """True if the command that runs has -q."""
+    """Return True if the command that runs has -q."""
     context = click.get_current_context(silent=True)
     return bool(context and context.params.get("quiet"))
 

@@ -95,14 +95,14 @@ BOX = Parsed(
 
 
 def bbox_option(about: str) -> Decorator:
-    """--bbox."""
+    """Add --bbox."""
     return option("--bbox", BOX, about, metavar="X0,Y0,Z0,X1,Y1,Z1", cls=BoxOption)
 
 
 def file_options(
     whose: str = "Use ", own: str = "the mesh's own extent, so that octrees combine without loss"
 ) -> Decorator:
-    """--like and --lattice."""
+    """Add --like and --lattice."""
     return together(
         option("--like", str,
             f"{whose}the grid of another octree, or of an image or array that `voxtool import` "

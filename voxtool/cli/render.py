@@ -112,7 +112,7 @@ OPTIONS_OF = {
         "Fields: rays find each leaf by the hash, as in adf-query, for the same picture.  "
         "[default: blocks know their children's, and nothing is searched]"),
     option("--colour", COLOUR,
-        "The surface's, #ff8000 or 1,0.5,0.  [default: light grey; of isosurfaces the map's]",
+        "Colour of the surface, #ff8000 or 1,0.5,0.  [default: light grey; isosurfaces: the map's]",
         metavar="COLOUR"),
     option("--isovalue isovalues", List(NUMBER),
         "Octrees with --level: draw the nodes of which at least the share V is set, above 0 and "
@@ -230,9 +230,9 @@ def fitting(
     run: Run, content: Any, level: int | str | None, attributes: Collection[str],
     alone: bool = True, asked: bool = False,
 ) -> tuple[Any, int | str | None]:  # fmt: skip
-    """Return what a picture shows of the content of a file, and the level: of an octree that does
-    not fit in memory the upper nodes, if it is drawn alone, and no attributes where these do not
-    fit, with a warning, unless they are asked for."""
+    """Return what a picture shows of the content of a file, and the level. An octree that does not
+    fit in memory and is drawn alone shows its upper nodes. Attributes that do not fit are left
+    out, with a warning, unless they are asked for."""
     from voxtool.svo.coarsen import fitting_octree
     from voxtool.svo.content import StoredAttributedOctree, StoredOctree
     from voxtool.svo.octree import in_memory

@@ -30,7 +30,7 @@ mesh_options = together(
         "Instead of --dim: the diagonal of a voxel in world units.  Where the mesh passes a voxel "
         "and is repaired there, the result is at most this far from it.", metavar="LENGTH"),
     option("--fill", FILLS,
-        "What is inside, as of voxtool voxelize; auto unites parts that overlap.", FILLS[0]),
+        "What is inside, as for voxtool voxelize; auto unites parts that overlap.", FILLS[0]),
     option("--gap", click.IntRange(0),
         "With --fill flood: close openings of up to this many voxels first.", 0, metavar="VOXELS",
         show_default=False),

@@ -443,7 +443,7 @@ def run_options(*decorators: options.Decorator) -> options.Decorator:
 
 
 def job_options(metavar: str, default: str, *formats: str) -> options.Decorator:
-    """The options of a command that runs one job: -o, --no-clobber, --format, --plan,
+    """Return the options of a command that runs one job: -o, --no-clobber, --format, --plan,
     --max-memory, --device, --strict, --json, -q, -v.
 
     Parameters

@@ -89,7 +89,7 @@ def report(device: Device, cases: tuple[Case, ...], full: bool, as_json: bool, q
 
 
 def line(outcome: Outcome) -> str:
-    """A row of the table, and below it why a case has no error."""
+    """Return a row of the table, and below it why a case has no error."""
     case = outcome.case
     error = "-" if outcome.message else f"{outcome.error:.2g}"
     row = (

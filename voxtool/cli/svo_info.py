@@ -92,7 +92,7 @@ def labels(info: dict[str, Any], unit: str) -> Iterator[str]:
 
 
 def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
-    """The lines of a summary, if verbose with how it is stored."""
+    """Yield the lines of a summary, if verbose with how it is stored."""
     from voxtool.svo.connected.about import about_connected
 
     unit = f" {info['units']}" if info["units"] else ""

@@ -52,7 +52,7 @@ def command(
     the upper one; outside the grid nothing is set. The columns are contains; with --level
     coverage; with --nearest voxel_x, voxel_y, voxel_z, distance: -1 and inf if no voxel is set;
     with --attributes label, -1 where nothing is set, red, green, blue, alpha, nx, ny, nz, area,
-    fraction, and face_x0 to face_z1: of the faces at low x, high x, low y, ...
+    fraction, and face_x0 to face_z1 for the faces at low x, high x, low y, ...
 
     \b
     Examples:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
         "Octrees: show nodes of this level as cubes, and nothing finer: a smaller page.  "
         "[default: voxel]", metavar="N|voxel"),
     options.option("--isovalue", float,
-        "Octrees: of levels above voxels, show at first the nodes of which at least this share is "
-        "set, above 0 and at most 1.  [default: any share]", metavar="V"),
+        "Octrees: show at first, above voxels, the nodes of which at least this share is set, "
+        "above 0 and at most 1.  [default: any share]", metavar="V"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options("PAGE.html", "Default FILE's name with .html, in this folder."),

@@ -81,8 +81,8 @@ if TYPE_CHECKING:
         "the file names, a shell, or of several meshes the file.  They become one octree, which -o "
         "names."),
     option("--priority", str,
-        "With --labels: of parts that share a voxel of a solid, or with --mode fraction have equal "
-        "shares of it, the first or the last counts, or those that are named, in this order, "
+        "With --labels: which part a voxel has that several parts of a solid share, or have equal "
+        "shares of with --mode fraction: the first, the last, or those named here, in this order, "
         "before the others.  [default: first]",
         metavar="first|last|NAME,..."),
     option("--attributes", options.List(click.Choice(ATTRIBUTES)),
@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     option("--colour", COLOURS,
         "With --attributes colour: the mean by area, in linear light, or that of the greatest part "
         f"of the surface in the voxel, as it is.  [default: {COLOURS[0]}]"),
-    flag("--doctype", "Of .svo.xml and .voccel.xml: name octree.dtd, which svo-info --dtd prints."),
+    flag("--doctype", "For .svo.xml and .voccel.xml: name octree.dtd (svo-info --dtd prints it)."),
     windows_options,
     options.normalize_option("stored"),
 )  # fmt: skip
@@ -113,9 +113,9 @@ def command(
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
-    MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin; of many, -o names the
-    folder for an output each (docs/many.md). Sizes are in the mesh's
-    own units, once scaled; a voxel (i, j, k) is the cube from origin + pitch (i, j, k).
+    MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. With many, -o names
+    the folder of their outputs (docs/many.md). Sizes are in the mesh's own units, once scaled; a
+    voxel (i, j, k) is the cube from origin + pitch (i, j, k).
 
     \b
     Examples:

@@ -167,7 +167,7 @@ class Workers:
 class Spread:
     """Workers of a Dask cluster that do tasks, each by a process of its own.
 
-    words, tasks : as for `Workers`; address, count : of the cluster (tiles/cluster.py).
+    words, tasks : as in `Workers`; address, count : the cluster's, as in tiles/cluster.py.
     """
 
     def __init__(

@@ -326,32 +326,32 @@ def export(
         voxels that are set), "float32" or "float64" (the share of them); by default bool for
         voxels, and float32 above them.
     normals : bool
-        Of a ply or xyz: write the unit normals of the cells, too, pointing to where less is set; 0
-        where there is no such direction.
+        Write the unit normals of the cells, too, to a ply or xyz. They point to where less is set,
+        and are 0 where there is no such direction.
     band : float, optional
-        Of a field: half-width of the level set, in voxels; by default 3.
+        Half-width of the level set of a field, in voxels; by default 3.
     shape : int or (3,) sequence of int, optional
-        Of a field: cells along each axis of a grid over the field's cube.
+        Cells along each axis of a grid over a field's cube.
     spacing : float or (3,) sequence of float, optional
-        Of a field: size of a cell of that grid in world units; by default that of the finest
-        leaves, and at most 256 cells along a side. A level set takes one number, without that
-        limit.
+        Size of a cell of that grid in world units; by default that of the finest leaves, and at
+        most 256 cells along a side. A level set takes one number, without that limit.
     grid : Grid or path, optional
-        For a field: the grid itself, or that of an octree or a file which read_voxels reads.
+        The grid of a field's samples: itself, or that of an octree or a file that read_voxels
+        reads.
     lattice : Grid or path, optional
-        Of a field: a grid over the field's cube, with the voxels of this grid or file.
+        A grid over a field's cube, with the voxels of this grid or file.
     leaves : bool
-        Of .vtu, .msh and .inp: a hexahedron for each of the largest cubes of cells instead of each
-        cell, with the nodes that hang.
+        Write a hexahedron for each of the largest cubes of cells to a .vtu, .msh or .inp, not for
+        each cell, with the nodes that hang.
     attributes : str or sequence of str, optional
-        Of an octree: names of the attributes that are written, or "none"; by default all that the
-        format can hold, of one array the label.
+        Names of the attributes of an octree that are written, or "none"; by default all that the
+        format can hold, and the label if it holds one.
     max_bytes : int, optional
         Refuse a larger output.
     device : Device, optional
-        Of a field: where it is sampled; the default device if None.
+        Where a field is sampled; the default device if None.
     **options
-        Of a png, `axis` ("x", "y" or "z") and `value` (the index of the slice, in voxels).
+        For a png, `axis` ("x", "y" or "z") and `value` (the index of the slice, in voxels).
 
     Raises
     ------
@@ -495,7 +495,8 @@ def check_holds_parts(format: str) -> None:
 
 
 def _read(path: PathLike, kind: Kind) -> Any:
-    """The content of a file, as the reader for its format returns it; merged octrees expanded."""
+    """Return the content of a file, as the reader for its format returns it; merged octrees
+    expanded."""
     with ExitStack() as stack:
         content = _read_open(path, kind, stack)
     if not hasattr(content, "expanded"):  # a MergedOctree
@@ -514,7 +515,7 @@ def _naming(name: str) -> Iterator[None]:
 
 
 def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
-    """The content of a file, which stays open until the stack ends."""
+    """Return the content of a file, which stays open until the stack ends."""
     name = streams.input_name(path)
     try:
         file, size = stack.enter_context(streams.open_whole(path))

@@ -1,7 +1,7 @@
 """Animations as GIF, WebP, MP4 or numbered pictures.
 
 Pillow encodes GIF and WebP, and x264 (through PyAV) the video of MP4, so their bytes depend on the
-versions of these libraries. Numbered pictures are PNG.
+versions of both libraries. Numbered pictures are PNG.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def write_animation(
     Parameters
     ----------
     frames
-        (H, W, 3 or 4) uint8 each, which are taken one after the other; of a video (H, W, 3).
+        (H, W, 3 or 4) uint8 each, (H, W, 3) for a video, which are taken one after the other.
     path
         For numbered pictures with a place for the number, as in spin%03d.png.
     clobber

@@ -247,7 +247,7 @@ def alone(output: str | os.PathLike[str], patience: float = 0) -> Iterator[Claim
 
 
 def write_error(target: str | os.PathLike[str], error: OSError) -> FileError:
-    """The error of writing `target`, in one line with a hint."""
+    """Return the error of writing `target`, in one line with a hint."""
     hint = HINTS.get(error.errno or 0, error.strerror or str(error))
     return FileError(f"cannot write {target}: {hint}")
 
@@ -257,7 +257,7 @@ def _refusal(target: Path) -> FileError:
 
 
 def _is_ours(error: OSError, temporary: Path | None, target: Path) -> bool:
-    """True if an error concerns the file that is written, not one that the block reads."""
+    """Return True if an error concerns the file that is written, not one that the block reads."""
     if isinstance(error, BrokenPipeError) or error.errno is None:
         return False
     names = (None, str(temporary), str(target), os.path.realpath(target))
@@ -271,7 +271,7 @@ def _is_device(path: Path) -> bool:
 
 
 def _create_beside(folder: Path, name: str) -> Path:
-    """A new empty file that becomes `name`."""
+    """Return a new empty file that becomes `name`."""
     flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
     path = _name_beside(folder, name)
     os.close(os.open(path, flags, 0o666))  # the system applies the umask
@@ -279,8 +279,8 @@ def _create_beside(folder: Path, name: str) -> Path:
 
 
 def _name_beside(folder: Path, name: str) -> Path:
-    """The name, after this machine and process, of a new file or folder that becomes `name`; what
-    processes that have died left beside it is removed."""
+    """Return the name, after this machine and process, of a new file or folder that becomes `name`;
+    what processes that have died left beside it is removed."""
     sweep(folder)
     return folder / f"{_stem(name)}{os.getpid()}-{os.urandom(8).hex()}.tmp"
 

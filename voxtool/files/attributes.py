@@ -23,8 +23,8 @@ def chosen_attributes(
     ----------
     content : what is exported.
     name : the format.
-    asked : names, or "none"; None: all that the format can hold, of one array the label.
-    other : of the options that were given, those that ask for other values than set voxels have.
+    asked : names, or "none"; None: all that the format can hold, the label if it holds one.
+    other : the given options that ask for other values than set voxels have.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def _chosen(
 
 
 def _not_held(name: str, names: Sequence[str]) -> list[str]:
-    """Return the attributes of these that a format cannot hold."""
+    """Return those of some attributes that a format cannot hold."""
     kinds = EXCHANGE[name].kinds
     return [one for one in names if kinds and one not in kinds]
 

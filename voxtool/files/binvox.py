@@ -26,8 +26,8 @@ PAIRS = 1 << 15  # runs that are read at once
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of the file, of which a mixed cell begins a run at most; FileError if voxels are no
-    cubes."""
+    """Return the bytes of the file, of which a mixed cell begins a run at most; FileError if voxels
+    are no cubes."""
     if len(set(image.pitch)) > 1:
         raise FileError(
             "a .binvox has voxels of equal sides, and these have not: choose another format"
@@ -93,7 +93,7 @@ def _write_runs(file: BinaryIO, values: np.ndarray, lengths: np.ndarray) -> None
 
 
 def read(file: BinaryIO, size: int) -> Stored:
-    """Return the voxels of runs; without translate and scale, of the unit cube."""
+    """Return the voxels of runs; they fill the unit cube if there is no translate and scale."""
     if not file.readline(64).startswith(b"#binvox "):
         raise FileError("is no .binvox file")
     found = {"translate": [0.0] * 3, "scale": [1.0], "dim": [0.0] * 3}

@@ -38,7 +38,7 @@ TYPES = {
 
 
 def size_ply(image: VoxelImage, normals: bool = False) -> int:
-    """Bytes of the file."""
+    """Return the bytes of the file."""
     attributes = attributes_of(image)
     each = 24 + image.dtype.itemsize + 12 * normals
     each += sum(attribute.cell_bytes for attribute in attributes)
@@ -99,7 +99,7 @@ def _comments(attributes: list[AttributeImage]) -> list[str]:
 
 
 def size_xyz(image: VoxelImage, normals: bool = False) -> int:
-    """Bytes of the file, at most."""
+    """Return the bytes of the file, at most."""
     numbers = sum(attribute.channels for attribute in attributes_of(image))
     return image.count * (LINE + NORMAL * normals + NUMBER * numbers)
 

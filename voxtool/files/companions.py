@@ -37,7 +37,7 @@ class Companions:
     Parameters
     ----------
     name : str
-        Of the mesh, for messages.
+        Name of the mesh, for messages.
     folder : str, optional
         The folder of the mesh; None where it is read from a stream.
     limit : int

@@ -2,16 +2,15 @@
 
 The module of a format has some of these functions:
 
-    size(image) -> int                        bytes of the output, or a bound; of a format of points
-                                              size(image, normals=True), too
-    write(image, file, **options)             write a VoxelImage, or of a dense format FieldSamples,
-                                              into an empty file that can seek, or, of a format that
-                                              is a folder, into an empty folder
+    size(image) -> int                        bytes of the output, or a bound; a format of points
+                                              takes size(image, normals=True), too
+    write(image, file, **options)             write a VoxelImage, or FieldSamples to a dense format,
+                                              into an empty file that can seek, or into an empty
+                                              folder if the format is one
     read(file, size) -> Stored                see imports.py
 
-The module that writes level sets (Exchange.levels) has `size` and `write` of a LevelSet, the one
-that writes volumes (Exchange.volumes) of VolumeCells, that of a format of Exchange.hexahedra of
-Hexahedra.
+In the module that writes level sets (Exchange.levels), `size` and `write` take a LevelSet; in the
+one that writes volumes (Exchange.volumes), VolumeCells; in those of Exchange.hexahedra, Hexahedra.
 A module of several formats has such functions for each of them, whose names end in the format's
 suffix. It imports what its extra brings inside these functions.
 """

@@ -1,7 +1,7 @@
 """Exodus II: meshes of cells in HDF5 (netCDF-4) or in classic netCDF [Schoof 1994].
 
-Only the variables that are needed are opened, and of those in time only the first step is read.
-What they take is compared with the file and with free memory beforehand.
+Only the variables that are needed are opened. Those that vary in time are read at the first step.
+Their bytes are compared with the file and with free memory beforehand.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class ExodusMesh(NamedTuple):
 
 
 def read(name: str, file: BinaryIO, max_memory: int | None) -> ExodusMesh:
-    """The mesh in a file that is open at its start; a warning says that others of its time steps
-    are not read.
+    """Return the mesh in a file that is open at its start; a warning says that others of its time
+    steps are not read.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def read(name: str, file: BinaryIO, max_memory: int | None) -> ExodusMesh:
 
 
 def _variables(h5: Any) -> dict[str, Variable]:
-    """The variables of an HDF5 file that may be needed."""
+    """Return the variables of an HDF5 file that may be needed."""
     names = [key.decode("utf-8", "replace") for key in h5.id]
     return {name: _variable(h5, name) for name in names if _expected(name)}
 
@@ -130,13 +130,14 @@ def _variable(h5: Any, name: str) -> Variable:
 
 
 def _expected(name: str) -> tuple[str, tuple[int, ...]] | None:
-    """The types and numbers of dimensions of a variable that is needed; None for another one."""
+    """Return the types and numbers of dimensions of a variable that is needed; None for another
+    one."""
     found = (rest for pattern, *rest in NEEDED if re.fullmatch(pattern, name))
     return next(found, None)  # pyright: ignore[reportReturnType]
 
 
 def _needed(variables: dict[str, Variable], most: int) -> dict[str, Variable]:
-    """The variables that are needed, checked; together they have at most `most` bytes."""
+    """Return the variables that are needed, checked; together they have at most `most` bytes."""
     needed = {}
     for name, found in variables.items():
         expected = _expected(name)
@@ -159,7 +160,7 @@ def _rows(name: str, variable: Variable) -> int:
 
 
 def _bytes(needed: dict[str, Variable]) -> int:
-    """The bytes of what is read."""
+    """Return the bytes of what is read."""
     return sum(
         max(found.piece, prod((_rows(name, found), *found.shape[1:], found.dtype.itemsize)))
         for name, found in needed.items()
@@ -170,7 +171,7 @@ def _bytes(needed: dict[str, Variable]) -> int:
 
 
 def _mesh(needed: dict[str, Variable], max_memory: int | None) -> ExodusMesh:
-    """The mesh of checked variables."""
+    """Return the mesh of checked variables."""
     size = PER_BYTE * _bytes(needed)
     check_memory(size, "its arrays", "free some memory, or raise --max-memory", max_memory)
     with bounded_memory(FIXED + size):
@@ -182,7 +183,7 @@ def _mesh(needed: dict[str, Variable], max_memory: int | None) -> ExodusMesh:
 
 
 def _block(variable: Variable, nodes: np.ndarray) -> Block:
-    """A block of cells, whose nodes are numbered from 1."""
+    """Return a block of cells, whose nodes are numbered from 1."""
     name = variable.text("elem_type").strip()
     count = nodes.shape[1]
     kind, plain = KINDS.get(name[:3].upper(), (name.lower(), count))
@@ -205,7 +206,7 @@ def _names(arrays: dict[str, np.ndarray], name: str) -> list[str]:
 
 
 def _at_points(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The arrays at points: one each, or (in old files) one for all; components joined."""
+    """Return the arrays at points: one each, or (in old files) one for all; components joined."""
     table = np.atleast_2d(arrays.get("vals_nod_var", np.empty((0, 0))))
     found = {}
     for number, name in enumerate(_names(arrays, "name_nod_var")):
@@ -225,7 +226,7 @@ def _at_points(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def _at_cells(
     arrays: dict[str, np.ndarray], blocks: list[int]
 ) -> dict[str, list[np.ndarray | None]]:
-    """The arrays at cells: for each block one, or none."""
+    """Return the arrays at cells: for each block one, or none."""
     found = {}
     for number, name in enumerate(_names(arrays, "name_elem_var")):
         parts = [arrays.get(f"vals_elem_var{number + 1}eb{block}") for block in blocks]

@@ -61,7 +61,7 @@ class Exchange(NamedTuple):
     opacity: bool = True  # whether its colours have one
 
 
-# What is written, by the extension that names it.
+# Writers, by the extension that names them.
 SVO_FORMATS = {
     "svo.h5": Writer("svo_hdf5"),
     "svo.xml": Writer("svo_xml", text=True),
@@ -258,12 +258,12 @@ STORED_SCENE = replace(SCENE, sliced=True)
 
 
 def ending(name: str) -> str:
-    """The ending of names of a format: .vti, or %04d.png of pictures with numbers."""
+    """Return the ending of names of a format: .vti, or %04d.png of pictures with numbers."""
     return name if name.startswith("%") else f".{name}"
 
 
 def folder_of(path: PathLike, name: str) -> Path:
-    """The file or the folder that a format makes: of layers/%04d.png, layers."""
+    """Return the file or the folder that a format makes: of layers/%04d.png, layers."""
     is_pattern = is_folder(name) and "%" in os.path.basename(path)
     return Path(path).parent if is_pattern else Path(path)
 
@@ -304,8 +304,8 @@ def is_mesh(path: PathLike) -> bool:
 
 
 def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
-    """The function that reads a file of this kind, chosen by its first bytes; for a file of another
-    kind, FileError names the missing step."""
+    """Return the function that reads a file of this kind, chosen by its first bytes; for a file of
+    another kind, FileError names the missing step."""
     if _is_volume_mesh(name, opening):
         raise FileError(
             f"{name} is a mesh of volume cells: build its textures first: voxtool tet-build {name}"
@@ -329,14 +329,15 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
 
 
 def _is_volume_mesh(name: str, opening: bytes) -> bool:
-    """Judged by name. HDF5 counts as Exodus only: other HDF5 files are read by content."""
+    """Return whether a name is that of a volume mesh. HDF5 counts as Exodus only: other HDF5 files
+    are read by content."""
     known = VOLUME_FORMATS.get(os.path.splitext(name.lower())[1])
     return known is not None and (known == "exodus" or not opening.startswith(HDF5))
 
 
 def format_of(path: PathLike, formats: Iterable[str]) -> str:
-    """The format that the extension of a name says; for stdout HDF5 or OBJ. FileError if there is
-    none."""
+    """Return the format that the extension of a name says; for stdout HDF5 or OBJ. FileError if
+    there is none."""
     formats = tuple(formats)
     if path == STREAM:
         for default in STREAM_FORMATS:

@@ -31,7 +31,7 @@ TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: 
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives; the others are points and lines
 PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
-VALUE_BYTES = 100  # of memory for each value of JSON
+VALUE_BYTES = 100  # bytes of memory for each value of JSON
 HEAD = 12  # bytes of a GLB before its chunks
 
 
@@ -109,7 +109,7 @@ class Tree:
         return self.part(view["buffer"], view.get("byteOffset", 0), view["byteLength"])
 
     def part(self, buffer: int, start: int, size: int) -> bytes:
-        """Return so many bytes of a buffer; ValueError if it ends before."""
+        """Return `size` bytes of a buffer from `start` on; ValueError if it ends before."""
         data = self.buffers[buffer]
         if not 0 <= start <= start + size <= len(data):
             raise ValueError(f"buffer {buffer} ends before what it should hold")

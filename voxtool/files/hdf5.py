@@ -68,7 +68,7 @@ def _write_attribute(h5: Any, attribute: Attribute, value: Any) -> None:
 
 
 def read(schemas: Iterable[Schema], file: BinaryIO, size: int) -> Any:
-    """The content of a file of `size` bytes, whose format is one of the schemas.
+    """Return the content of a file of `size` bytes, whose format is one of the schemas.
 
     Raises
     ------
@@ -85,7 +85,8 @@ def _in_memory(schema: Schema, stored: dict[str, Any], found: dict[str, Any]) ->
 
 
 def read_slices(schemas: Iterable[Schema], file: BinaryIO, size: int) -> Any:
-    """The same content; the datasets of a sliced schema are Slices of the file while it is open."""
+    """Return the content of a file as `read` does, but the datasets of a sliced schema are Slices
+    of the file, while it is open."""
     with _one_line():
         schema, stored, found = _content(opened(file), schemas, size)
         if not schema.sliced:
@@ -94,7 +95,7 @@ def read_slices(schemas: Iterable[Schema], file: BinaryIO, size: int) -> Any:
 
 
 def _slices(dataset: Any) -> Slices:
-    """The rows of a checked dataset, which are read when they are asked for."""
+    """Return the rows of a checked dataset, which are read when they are asked for."""
     size, *row = dataset.shape
     stored = dataset.get_space()
 
@@ -111,7 +112,7 @@ def _slices(dataset: Any) -> Slices:
 
 @contextmanager
 def _one_line() -> Iterator[None]:
-    """Errors of the library become a FileError: the file is damaged."""
+    """Raise a FileError, which says that the file is damaged, for errors of the library."""
     try:
         yield
     except VoxtoolError:
@@ -124,20 +125,21 @@ def _one_line() -> Iterator[None]:
 def _content(
     h5: Any, schemas: Iterable[Schema], size: int
 ) -> tuple[Schema, dict[str, Any], dict[str, Any]]:
-    """The schema of a file, its checked attributes, and its checked datasets."""
+    """Return the schema of a file, its checked attributes, and its checked datasets."""
     with bounded_memory(METADATA):
         schema = _schema_of(h5, schemas)
         return schema, *_checked(schema, h5, size)
 
 
 def opened(file: BinaryIO) -> Any:
-    """An open HDF5 file."""
+    """Return an open HDF5 file."""
     with bounded_memory(METADATA):
         return h5py.File(file, "r")
 
 
 def _schema_of(h5: Any, schemas: Iterable[Schema]) -> Schema:
-    """The schema of the file's format and major version; those behind it are not asked for."""
+    """Return the schema of the file's format and major version; those behind it are not asked
+    for."""
     missing = not h5py.h5a.exists(h5.id, b"format")
     if missing and h5.id.links.exists(b"VTKHDF"):
         raise FileError("holds data of VTK: voxtool import makes an octree of its voxels")
@@ -155,7 +157,7 @@ def _schema_of(h5: Any, schemas: Iterable[Schema]) -> Schema:
 
 
 def _checked(schema: Schema, h5: Any, size: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The attributes and the datasets of a file, by name."""
+    """Return the attributes and the datasets of a file, by name."""
     names = {attribute.name for attribute in schema.attributes if attribute.name in h5.attrs}
     stored = {attribute.name: read_attribute(h5, attribute) for attribute in schema.held(names)}
     schema.check(stored)
@@ -171,8 +173,8 @@ def _checked(schema: Schema, h5: Any, size: int) -> tuple[dict[str, Any], dict[s
 
 
 def read_attribute(h5: Any, expected: Attribute) -> Any:
-    """The stored value of an attribute of a group or dataset, its type and size checked before it
-    is read."""
+    """Return the stored value of an attribute of a group or dataset, its type and size checked
+    before it is read."""
     name, kind, limit = expected.name, expected.stored, expected.size
     if not h5py.h5a.exists(h5.id, name.encode()):
         raise FileError(f"attribute {name} is missing")
@@ -211,7 +213,8 @@ def _text(attribute: Any, name: str, limit: int) -> str:
 
 
 def _dataset(h5: Any, expected: Dataset, sizes: dict[str, Any], size: int) -> Any:
-    """A dataset of the root group, found to be stored in this file of `size` bytes as one piece."""
+    """Return a dataset of the root group, found to be stored in this file of `size` bytes as one
+    piece."""
     name = expected.name
     shape, dtype = expected.shape_for(sizes), expected.type_for(sizes)
     dataset = open_dataset(h5, name)
@@ -234,7 +237,8 @@ def _dataset(h5: Any, expected: Dataset, sizes: dict[str, Any], size: int) -> An
 
 
 def open_dataset(h5: Any, name: str) -> Any:
-    """A dataset of the root group, whose data lie in this file; FileError if there is none."""
+    """Return a dataset of the root group, whose data lie in this file; FileError if there is
+    none."""
     key = name.encode()
     if not h5.id.links.exists(key):
         raise FileError(f"dataset {name} is missing")
@@ -254,7 +258,7 @@ def _suits(found: int, expected: Any) -> bool:
 
 
 def load(dataset: Any) -> np.ndarray:
-    """The content of a checked dataset."""
+    """Return the content of a checked dataset."""
     array = np.empty(dataset.shape, dataset.dtype)
     if array.size:
         dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, array)

@@ -28,12 +28,12 @@ ROW = 16  # numbers of a line of a set
 
 
 def size(mesh: Hexahedra) -> int:
-    """Bytes of the file."""
+    """Return the bytes of the file."""
     return size_of(_parts(mesh))
 
 
 def _width(mesh: Hexahedra) -> int:
-    """Letters of a number of a node or an element."""
+    """Return the letters that the number of a node or an element takes."""
     return width_of(max(mesh.sizes.nodes, mesh.sizes.cells))
 
 

@@ -17,11 +17,11 @@ from voxtool.files.tiff import order_of
 from voxtool.svo.image import VoxelImage
 
 NAME, NUMBER = "%04d.png", re.compile(r"%0?(\d*)d")
-PICTURE_BYTES = 4200  # of a picture beyond its pixels, with the block of a disk that it takes
+PICTURE_BYTES = 4200  # bytes of a picture beyond its pixels, with the block of a disk that it takes
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of all pictures, at most."""
+    """Return the bytes of all pictures, at most."""
     return image.cells // 4 + PICTURE_BYTES * max(image.shape)
 
 

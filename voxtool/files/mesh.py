@@ -29,7 +29,7 @@ from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf", "3mf")
 PLY, GLB = (b"ply\n", b"ply\r"), b"glTF"  # how they begin
 KEPT = ("parts", "appearance")
-MAX_BYTES = 8 << 30  # of one file, unpacked
+MAX_BYTES = 8 << 30  # bytes of one file, unpacked
 # A .gz or .3mf may unpack to this many times its size, and some bytes more. A plane of equal
 # triangles as ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
 MOST_PACKED, ANY_SIZE = 100, 1 << 24
@@ -129,7 +129,7 @@ def as_mesh(thing: Any, max_memory: int | None = None, keep: Sequence[str] = ())
     """Return a Mesh of a Mesh, of a path, of an object with `vertices` and `faces` such as a
     trimesh.Trimesh, or of a pair of arrays, (V, 3) and (F, 3); MeshError for anything else.
 
-    Of a path, what is in `keep` is read, too.
+    A path is read with what is in `keep`.
     """
     if isinstance(thing, Mesh):
         return thing

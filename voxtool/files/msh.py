@@ -23,7 +23,7 @@ HEXAHEDRON, QUAD = 5, 3  # Gmsh's types
 
 
 def size(mesh: Hexahedra) -> int:
-    """Bytes of the file."""
+    """Return the bytes of the file."""
     return size_of(_parts(mesh))
 
 

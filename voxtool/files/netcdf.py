@@ -28,7 +28,7 @@ MOST_LETTERS = 256  # of a name, and of an attribute that is kept
 class Variable(NamedTuple):
     """A variable of a file. Nothing of it has been read yet.
 
-    shape, dtype : of its numbers.
+    shape, dtype : those of its numbers.
     piece : the least number of bytes that can be read.
     text : returns an attribute; FileError if there is no such text.
     rows : returns the first n rows, of a given n; FileError if they are not in the file.
@@ -42,7 +42,7 @@ class Variable(NamedTuple):
 
 
 def read_variables(file: BinaryIO) -> dict[str, Variable]:
-    """The variables of a file that begins with MAGIC, by name.
+    """Return the variables of a file that begins with MAGIC, by name.
 
     Raises
     ------
@@ -103,7 +103,7 @@ class _Header:
         return name, Variable(shape, dtype, 0, text, rows)
 
     def _texts(self) -> dict[str, str]:
-        """The short texts among a list of attributes."""
+        """Return the short texts among a list of attributes."""
         texts = {}
         for _ in range(self._count(ATTRIBUTES)):
             name, dtype, count = self._name(), self._type(), self._number()
@@ -115,7 +115,7 @@ class _Header:
         return texts
 
     def _count(self, tag: int) -> int:
-        """The length of a list, which has this tag unless it is empty."""
+        """Return the length of a list, which has this tag unless it is empty."""
         found, count = int.from_bytes(self._take(4)), self._number()
         if count > MOST_ITEMS or (found != tag and (found or count)):
             raise FileError(f"has a list of {count} items with tag {found}: it is damaged")

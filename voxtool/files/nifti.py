@@ -53,7 +53,7 @@ MOST_OFFSET = 1 << 22  # bytes of a header and its extensions
 
 
 def size(image: Dense) -> int:
-    """Bytes of the file; FileError if a side is too long."""
+    """Return the bytes of the file; FileError if a side is too long."""
     if max(image.shape) > MOST_SIDE:
         raise FileError(
             f"a side of {max(image.shape)} cells is more than a .nii can have, {MOST_SIDE}: choose "
@@ -63,8 +63,7 @@ def size(image: Dense) -> int:
 
 
 def size_packed(image: Dense) -> int:
-    """Bytes of the compressed file: of cells that are neither far inside nor far outside, and of
-    the other ones at a high compression."""
+    """Return the bytes of the file, in which cells far inside or far outside take few."""
     return image.mixed * image.dtype.itemsize + size(image) // (PACKED // 4) + HEADER
 
 

@@ -26,7 +26,7 @@ HEADER = 128  # bytes of a usual header
 
 
 def size(image: Dense) -> int:
-    """Bytes of the file."""
+    """Return the bytes of the file."""
     return HEADER + image.nbytes
 
 

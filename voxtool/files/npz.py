@@ -39,7 +39,7 @@ GRID = {"shape": np.int64, "origin": np.float64, "pitch": np.float64}
 
 
 def size(image: Dense) -> int:
-    """Bytes of the file."""
+    """Return the bytes of the file."""
     if not isinstance(image, VoxelImage):
         return EXTRA + image.nbytes
     attributes = attributes_of(image)

@@ -67,8 +67,7 @@ DIRECTIONS, ORIGIN = "space directions", "space origin"
 
 
 def size(image: Dense) -> int:
-    """Bytes of the file: of cells that are neither far inside nor far outside, and of the other
-    ones at a high compression."""
+    """Return the bytes of the file, in which cells far inside or far outside take few."""
     return (
         HEADER
         + len(names_text(image))

@@ -18,7 +18,7 @@ import numpy as np
 
 from voxtool.errors import MeshError, shown
 
-BLOCK_BYTES = 1 << 19  # of text that is parsed at once: beyond that, caches overflow
+BLOCK_BYTES = 1 << 19  # bytes of text that is parsed at once: beyond that, caches overflow
 LETTERS = b"0123456789+-.eE \t\r\n"  # of numbers and between them
 NUMBER = rb"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"  # a pattern
 MOST_LINE = 1 << 24  # letters of a line, two million corners of a face

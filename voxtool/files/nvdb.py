@@ -66,7 +66,7 @@ class Content(NamedTuple):
     """A grid: its class, its place in the world, and its tree.
 
     The values of the leaves are the bytes of their active cells, or of all with `whole`; None where
-    all active ones are one. What neither a leaf nor a tile holds has the background.
+    all active ones are one. Cells in neither a leaf nor a tile have the background.
     """
 
     kind: int
@@ -94,7 +94,7 @@ def _floats(image: VoxelImage) -> VoxelImage:
 
 
 def size(image: VoxelImage) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     image = _floats(image)
     corners, _ = image.block_nodes(LEAF_SIDE)
     grids = 1 + len(image.attributes)
@@ -137,13 +137,13 @@ def write_grids(contents: list[Content], file: BinaryIO) -> None:
 
 
 class Layout(NamedTuple):
-    """Where the nodes of a grid lie."""
+    """The layout of a grid: where its nodes lie."""
 
     lower: np.ndarray  # places of the lower and the upper nodes, and what the root lists
     upper: np.ndarray
     roots: np.ndarray
     counts: tuple[int, int, int]  # leaves, lower and upper nodes
-    first: tuple[int, int, int]  # of each, bytes from the start of the tree
+    first: tuple[int, int, int]  # where each of these begins, bytes from the start of the tree
     total: int  # bytes of the grid
 
     @classmethod

@@ -16,7 +16,7 @@ from voxtool.files.vdb_encode import UPPER_SIDE, Inside, tiles_of
 
 
 def size(image: LevelSet) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     tiles = prod(-(-n // UPPER_SIDE) for n in image.shape)  # of the root, at most
     return nvdb.size_of(image.corners, tiles_of([])) + nvdb.TILE * tiles
 

@@ -29,7 +29,7 @@ class Statements(NamedTuple):
 
     begun: list[tuple[int, str, str]]  # the face from which on it holds, the statement, its words
     uv: np.ndarray  # (T, 2) float64: the file's texture coordinates
-    corners: np.ndarray  # (F, 3) int64: of the corners of the faces, or -1
+    corners: np.ndarray  # (F, 3) int64: rows of `uv` for the corners of the faces, or -1
     colours: np.ndarray | None  # (V, 3) float64 of the vertices, in sRGB
 
 

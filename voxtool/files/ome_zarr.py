@@ -43,7 +43,7 @@ MOST_CHUNKS = 1 << 22  # that are looked for
 CHUNK_FILE = re.compile(r"(/c)?([/.]\d{1,9})+")  # in the folder of an array
 GRID = "voxtool_grid"
 CHUNK_BYTES, ARRAY_BYTES = 4096, 8192  # of the disk, beyond the values
-NAME_BYTES = 200  # of what is said of a label, beyond the letters of its name
+NAME_BYTES = 200  # bytes of what is said of a label, beyond the letters of its name
 # What stores numbers and runs no code; others, such as pickle, are refused.
 CODECS = {"blosc", "zstd", "zlib", "gzip", "lz4", "bz2", "lzma", "bytes", "transpose", "crc32c",
           "sharding_indexed", "endian", "shuffle", "bitround", "delta"}  # fmt: skip
@@ -52,8 +52,8 @@ UNITS = {"um": "micrometer", "mm": "millimeter", "cm": "centimeter", "m": "meter
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of the folder: of cells that are neither far inside nor far outside, and of the other
-    ones at a high compression; coarser arrays take a seventh of that."""
+    """Return the bytes of the folder, in which cells far inside or far outside take few. Coarser
+    arrays take a seventh of the finest."""
     each = 8 if image.dtype == np.float64 else 4
     found = 0
     for one in (each, *(attribute.cell_bytes for attribute in attributes_of(image))):

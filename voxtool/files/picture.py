@@ -91,8 +91,8 @@ def check_writer(bits: int) -> None:
 def rounded(
     picture: np.ndarray, bits: int = 8, background: Sequence[float] | None = WHITE
 ) -> np.ndarray:
-    """The integers that PNG stores: (H, W, 3) uint8 or uint16 over the background, or (H, W, 4)
-    with straight alpha where that is None."""
+    """Return the integers that PNG stores: (H, W, 3) uint8 or uint16 over the background, or (H, W,
+    4) with straight alpha where that is None."""
     height, width, _ = picture.shape
     pixels = np.empty((height, width, 3 if background is not None else 4), BITS[bits])
     for first in range(0, height, BAND):
@@ -110,7 +110,7 @@ def rounded(
 
 
 def _integers(values: np.ndarray, bits: int) -> np.ndarray:
-    """Values from 0 to 1 as integers; halves are rounded up."""
+    """Return values from 0 to 1 as integers; halves are rounded up."""
     return np.floor(np.clip(values, 0, 1) * ((1 << bits) - 1) + 0.5)
 
 

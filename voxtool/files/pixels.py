@@ -15,7 +15,7 @@ FORMATS = ("PNG", "JPEG")  # the only decoders that run
 MOST_SIDE = 1 << 14  # and as many pixels as Pillow lets through, 178,956,970
 # A PNG of one bit a pixel, packed best: 8 pixels times 1032. A JPEG has at most 512 a byte.
 MOST_PIXELS = 8 * 1032
-PIXEL_BYTES = 16  # of memory while a picture is decoded
+PIXEL_BYTES = 16  # bytes of memory while a picture is decoded
 DEEP = ("I", "I;16", "I;16B", "I;16L")  # modes of 16 bits
 
 

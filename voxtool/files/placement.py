@@ -12,7 +12,7 @@ from voxtool.memory import check_memory
 from voxtool.mesh.appearance import Appearance, Material, Parts
 from voxtool.mesh.mesh import check_indices
 
-ITEM_BYTES = 120  # of memory that each vertex or index of a placed mesh takes at most
+ITEM_BYTES = 120  # bytes of memory that each vertex or index of a placed mesh takes at most
 LOOK_BYTES = 80  # and of its colours and texture coordinates
 DEEPEST = 64  # nodes inside nodes of a scene
 

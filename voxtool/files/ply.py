@@ -62,13 +62,14 @@ class Element(NamedTuple):
     properties: list[Property]
 
     def record(self, order: str, fault: str) -> np.dtype:
-        """The structured type of one element; FileError(fault) if a property is a list."""
+        """Return the structured type of one element; FileError(fault) if a property is a list."""
         if any(one.counted for one in self.properties):
             raise FileError(fault)
         return np.dtype([(f"{i}", order + one.type) for i, one in enumerate(self.properties)])
 
     def axes(self) -> tuple[int, ...]:
-        """The places of x, y and z among the properties; FileError if each is not there once."""
+        """Return the places of x, y and z among the properties; FileError if each is not there
+        once."""
         names = [one.name for one in self.properties]
         for axis in "xyz":
             if names.count(axis) != 1:
@@ -76,7 +77,8 @@ class Element(NamedTuple):
         return tuple(map(names.index, "xyz"))
 
     def colours(self) -> tuple[int, ...]:
-        """The places of red, green, blue and, if it is there, alpha; () if one of three is not."""
+        """Return the places of red, green, blue and, if it is there, alpha; () if one of three is
+        not."""
         places = {one.name.removeprefix("diffuse_"): i for i, one in enumerate(self.properties)}
         if not all(name in places for name in ("red", "green", "blue")):
             return ()

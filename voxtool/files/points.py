@@ -39,7 +39,7 @@ TEXT_LETTERS = 1 << 24  # unless they are long
 NUMBER = re.compile(
     r"\s*[+-]?((\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)\s*", re.ASCII | re.IGNORECASE
 )
-RECORD_BYTES = 1 << 26  # of a PLY file's vertices that are in memory at once
+RECORD_BYTES = 1 << 26  # bytes of a PLY file's vertices that are in memory at once
 
 
 def read_points(
@@ -81,7 +81,7 @@ def read_points(
 
 
 def _format(name: str, opening: bytes) -> str:
-    """The format of a file by its opening; text by its extension, or else "text"."""
+    """Return the format of a file by its opening; text by its extension, or else "text"."""
     if opening.startswith(NPY_MAGIC):
         return "npy"
     if opening.startswith(ZIP_MAGIC):
@@ -97,7 +97,7 @@ def _format(name: str, opening: bytes) -> str:
 
 
 def _cut_short(declared: int, there: int) -> FileError:
-    """The error of a file that has fewer points than it declares."""
+    """Return the error of a file that has fewer points than it declares."""
     points = count_of(declared, "point")
     return FileError(f"is cut short: {there:,} of {points} are there: copy it anew")
 
@@ -136,7 +136,8 @@ def _read_npy(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarr
 
 
 def _npy_header(file: BinaryIO) -> tuple[int, bool, np.dtype]:
-    """The number of points, whether all x come first, then all y, and the type of the numbers."""
+    """Return the number of points, whether all x come first, then all y, and the type of the
+    numbers."""
     try:
         if np.lib.format.read_magic(file) != NPY_VERSION:
             raise ValueError
@@ -159,7 +160,7 @@ def _npy_header(file: BinaryIO) -> tuple[int, bool, np.dtype]:
 
 @contextmanager
 def _on_disk(file: BinaryIO, size: int) -> Iterator[tuple[BinaryIO, int]]:
-    """A temporary file of the next `size` bytes of another, and how many there are."""
+    """Yield a temporary file of the next `size` bytes of another, and how many there are."""
     check_disk(tempfile.gettempdir(), size, "store the points one after the other (C order)")
     with tempfile.TemporaryFile() as whole:
         left = size
@@ -215,7 +216,7 @@ def _read_text(file: BinaryIO, format: str, block: int) -> Iterator[np.ndarray]:
 
 
 def _csv_columns(number: int, line: str) -> tuple[_Columns, bool]:
-    """The columns of x, y and z, and whether the first line is a header."""
+    """Return the columns of x, y and z, and whether the first line is a header."""
     words = line.split(",")
     if any(map(NUMBER.fullmatch, words)):
         return _Columns(",", None), False
@@ -277,7 +278,7 @@ def _refuse_overflow(number: int, line: str, columns: _Columns) -> None:
 
 
 def _parsed(lines: list[str], columns: _Columns) -> np.ndarray | None:
-    """(k, 3) float64, or None where a line does not hold a point."""
+    """Return (k, 3) float64, or None where a line does not hold a point."""
     try:
         delimiter, places = columns
         points = np.loadtxt(lines, delimiter=delimiter, usecols=places, comments=None, ndmin=2)
@@ -287,7 +288,7 @@ def _parsed(lines: list[str], columns: _Columns) -> np.ndarray | None:
 
 
 def _fault(line: str, columns: _Columns) -> str:
-    """The reason why a line holds no point."""
+    """Return the reason why a line holds no point."""
     words = line.split(columns.delimiter)
     if columns.places is None and len(words) != 3:
         hint = ": name them in a header line" if len(words) > 3 else ""

@@ -1,5 +1,5 @@
-"""A tar of samples, as WebDataset and tar itself read it: of each mesh NAME.ENDING, the output, and
-NAME.json, the line of its manifest without what differs from run to run.
+"""A tar of samples, as WebDataset and tar itself read it. Each mesh has NAME.ENDING, its output,
+and NAME.json, its line of the manifest without what differs from run to run.
 
 WebDataset takes what stands before the first dot of a name for the sample's. The same outputs give
 the same tar, byte for byte: there are no times and no users in it.
@@ -24,8 +24,11 @@ LARGEST = 1 << 24  # bytes of a line that is read
 
 @dataclass(frozen=True)
 class Sample:
-    """The output of a mesh. name : without endings; ending : of the output, without its first dot;
-    path : of the output; line : the manifest's."""
+    """The output of a mesh.
+
+    name : without endings; ending : that of the output, without its first dot.
+    path : the output; line : the manifest's.
+    """
 
     name: str
     ending: str

@@ -56,12 +56,12 @@ class Attribute:
         return {bool: int, dict: str}.get(self.kind, self.kind)
 
     def encode(self, content: Any) -> Any:
-        """The value of some content, as it is stored."""
+        """Return the value of some content, as it is stored."""
         value = attrgetter(self.at or self.name)(content)
         return _json_text(self.name, value) if self.kind is dict else _cast(self.stored, value)
 
     def decode(self, stored: Any) -> Any:
-        """The value in Python of a stored value that has been checked."""
+        """Return the value in Python of a stored value that has been checked."""
         return _parse_json(self.name, stored) if self.kind is dict else _cast(self.kind, stored)
 
     def check(self, stored: Any) -> None:
@@ -121,8 +121,8 @@ class Dataset:
     Attributes
     ----------
     name : in the file.
-    dtype : of the numbers, such as "<f4", or a function of the sizes.
-    shape : of each side a number, the numbers that are allowed, the name of a size, or a function
+    dtype : type of the numbers, such as "<f4", or a function of the sizes.
+    shape : for each side a number, the numbers that are allowed, the name of a size, or a function
         of the sizes. A name that no attribute and no dataset before this one has is free, and
         names the side from here on.
     at : path of the array in the content; by default the name.
@@ -141,18 +141,18 @@ class Dataset:
     needed: Callable[[Sizes, bool], bool] = lambda sizes, there: True
 
     def type_for(self, sizes: Sizes) -> np.dtype:
-        """The type of the numbers, given the sizes."""
+        """Return the type of the numbers, given the sizes."""
         return np.dtype(self.dtype(sizes) if callable(self.dtype) else self.dtype)
 
     def shape_for(self, sizes: Sizes) -> tuple[Any, ...]:
-        """The allowed number or numbers of each side; None where a side is free."""
+        """Return the allowed number or numbers of each side; None where a side is free."""
         return tuple(
             sizes.get(side) if isinstance(side, str) else side(sizes) if callable(side) else side
             for side in self.shape
         )
 
     def encode(self, content: Any, sizes: Sizes) -> np.ndarray | Blocks | None:
-        """The array of some content, as it is stored; None where there is none."""
+        """Return the array of some content, as it is stored; None where there is none."""
         array = attrgetter(self.at or self.name)(content)
         if array is None:
             return None
@@ -165,14 +165,14 @@ class Dataset:
         return self._stored(array, sizes)
 
     def _stored(self, array: np.ndarray, sizes: Sizes) -> np.ndarray:
-        """An array as it is stored."""
+        """Return an array as it is stored."""
         if self.rows is not None:
             array = np.ascontiguousarray(array, self.rows).view(self.type_for(sizes))
             return array.reshape(-1, len(self.rows.names or ()))
         return np.ascontiguousarray(array, self.type_for(sizes))
 
     def decode(self, array: Any) -> Any:
-        """The array, or Slices, in Python of a stored one."""
+        """Return the array, or Slices, in Python of a stored one."""
         if isinstance(array, Slices):
             kept = (array.dtype, array.row) if self.rows is None else (self.rows, ())
             return Slices(
@@ -207,7 +207,8 @@ class Schema:
         return [a for a in self.attributes if a.name in names or not a.since]
 
     def encode(self, content: Any) -> dict[str, Any]:
-        """The stored attributes of some content; FileError names one that is out of range."""
+        """Return the stored attributes of some content; FileError names one that is out of
+        range."""
         own = {attribute: attribute.encode(content) for attribute in self.own}
         own = {attribute: value for attribute, value in own.items() if value or not attribute.since}
         version = max((attribute.since for attribute in own), default="") or self.version
@@ -225,7 +226,8 @@ class Schema:
             self.agree(stored)
 
     def decode(self, stored: Mapping[str, Any], arrays: Mapping[str, Any]) -> Any:
-        """The validated content of checked attributes and arrays; FileError if it is not sound."""
+        """Return the validated content of checked attributes and arrays; FileError if it is not
+        sound."""
         values = {
             attribute.name: attribute.decode(stored[attribute.name])
             for attribute in self.held(stored)
@@ -259,13 +261,13 @@ class Schema:
         )
 
     def is_newer(self, version: str) -> bool:
-        """True if an accepted version has a newer minor number, so that it may hold more."""
+        """Return True if an accepted version has a newer minor number, so that it may hold more."""
         known = (self.version, *(a.since for a in self.own if a.since))
         return int(version.split(".")[1]) > max(int(v.split(".")[1]) for v in known)
 
 
 def without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
-    """The values of all names but these."""
+    """Return the values of all names but these."""
     return {name: value for name, value in values.items() if name not in names}
 
 
@@ -285,7 +287,7 @@ def _cast(kind: type, value: Any) -> Any:
 
 
 def _json_text(name: str, value: dict[str, Any]) -> str:
-    """A dict of JSON types as text."""
+    """Return a dict of JSON types as text."""
     try:
         return json.dumps(value, separators=(",", ":"), allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -293,7 +295,7 @@ def _json_text(name: str, value: dict[str, Any]) -> str:
 
 
 def _parse_json(name: str, text: str) -> dict[str, Any]:
-    """A JSON object as a dict; finite numbers, real characters and bounded nesting only."""
+    """Return a JSON object as a dict; finite numbers, real characters and bounded nesting only."""
 
     def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is no JSON number")

@@ -9,7 +9,7 @@ from voxtool.svo.octree import Octree
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of the file, at most: those of the largest slice."""
+    """Return the bytes of the file, at most: those of the largest slice."""
     shape = image.octree.grid.shape
     return max(shape[0] * shape[1], shape[1] * shape[2], shape[2] * shape[0])
 

@@ -25,7 +25,7 @@ OPENING = 64  # bytes by which a format is recognised
 
 
 def input_name(path: PathLike) -> str:
-    """The name of an input in messages."""
+    """Return the name of an input in messages."""
     return "stdin" if path == STREAM else os.fspath(path)
 
 
@@ -35,7 +35,7 @@ def folder_size(folder: Path) -> int:
 
 
 def read_error(name: str, error: Exception) -> FileError:
-    """The error of reading `name`, in one line."""
+    """Return the error of reading `name`, in one line."""
     if isinstance(error, FileNotFoundError):
         return FileError(f"{name}: there is no such file")
     if isinstance(error, IsADirectoryError) or os.path.isdir(name):
@@ -61,7 +61,7 @@ def open_whole(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
 
 
 def read_at_most(file: BinaryIO, most: int, first: bytes = b"") -> bytes | None:
-    """The rest of a file after its first bytes; None if there are more bytes than `most`."""
+    """Return the rest of a file after its first bytes; None if there are more bytes than `most`."""
     whole = io.BytesIO()
     whole.write(first)
     while whole.tell() <= most:

@@ -52,7 +52,7 @@ FILL = (
 
 
 def grid_of(stored: Mapping[str, Any]) -> Grid:
-    """The grid of stored attributes; FileError or GridError if they give none."""
+    """Return the grid of stored attributes; FileError or GridError if they give none."""
     grid = Grid(stored["shape"], stored["origin"], stored["pitch"])
     expect("dim", stored["dim"], (grid.dim,))
     expect("depth", stored["depth"], ((grid.side // 4).bit_length(),))
@@ -75,7 +75,7 @@ TRANSFORMED = transform_since("1.1")
 
 
 def _content_of(values: dict[str, Any]) -> dict[str, Any]:
-    """The values of an octree, of stored ones."""
+    """Return the values of an octree, of stored ones."""
     others = without(values, "dim", "depth", "shape", "origin", "pitch")
     return {"grid": grid_of(values), **others}
 
@@ -124,7 +124,7 @@ MERGED = Schema(
 
 
 def _head_of(stored: Mapping[str, Any]) -> dict[str, Any]:
-    """The description of each attribute in a file, checked; FileError if it is not sound."""
+    """Return the description of each attribute in a file, checked; FileError if it is not sound."""
     heads = ATTRIBUTES.decode(stored["attributes"])
     for name, head in heads.items():
         if name not in KINDS or not isinstance(head, dict) or set(head) != HEAD:
@@ -143,7 +143,7 @@ def _head_of(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _datasets_of(name: str, channels: int) -> tuple[Dataset, ...]:
-    """The datasets of an attribute."""
+    """Return the datasets of an attribute."""
 
     def dtype(sizes: Mapping[str, Any]) -> str:
         return "<" + _head_of(sizes)[name]["dtype"]
@@ -183,7 +183,7 @@ def _build_attributed(
 
 
 def _names(stored: np.ndarray) -> tuple[str, ...]:
-    """Names of labels, each followed by a zero byte."""
+    """Return the names of labels, each followed by a zero byte."""
     try:
         *names, rest = stored.tobytes().decode().split("\0")
     except UnicodeDecodeError:
@@ -194,7 +194,7 @@ def _names(stored: np.ndarray) -> tuple[str, ...]:
 
 
 def _flat(octree: Octree) -> SimpleNamespace:
-    """An octree, also in blocks, with its attributes under the names of their datasets."""
+    """Return an octree, also in blocks, with its attributes under the names of their datasets."""
     flat = SimpleNamespace(**{item.name: getattr(octree, item.name) for item in fields(Octree)})
     flat.depth, flat.attributes = octree.depth, {one.name: one.head for one in octree.attributes}
     for name in KINDS:

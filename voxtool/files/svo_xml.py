@@ -123,7 +123,8 @@ def write_gz(octree: Octree, file: BinaryIO, doctype: bool = False) -> None:
 
 
 def _as_text(value: Any) -> str:
-    """The text of an attribute; a number has the fewest digits that read back as the same."""
+    """Return the text of an attribute; a number has the fewest digits that read back as the
+    same."""
     return " ".join(map(repr, value)) if isinstance(value, list | tuple) else str(value)
 
 
@@ -138,18 +139,18 @@ def _write_rows(file: BinaryIO, row: str, words: np.ndarray, columns: int) -> No
 
 
 def read(file: BinaryIO, size: int) -> Octree:
-    """The octree of an XML file of `size` bytes; FileError if it is damaged or hostile."""
+    """Return the octree of an XML file of `size` bytes; FileError if it is damaged or hostile."""
     return _Reader(size).read(file)
 
 
 def read_gz(file: BinaryIO, size: int) -> Octree:
-    """The octree of a gzip-compressed XML file of `size` bytes."""
+    """Return the octree of a gzip-compressed XML file of `size` bytes."""
     with Unpacked(gzip.GzipFile(fileobj=file, mode="rb"), "gzip file") as packed:
         return _Reader(size * PACKED).read(packed)  # pyright: ignore[reportArgumentType]
 
 
 def parse_words(text: str) -> np.ndarray:
-    """The (N,) uint32 of decimal numbers separated by single spaces."""
+    """Return the (N,) uint32 of decimal numbers separated by single spaces."""
     if WORDS.fullmatch(text):
         values = np.fromstring(text, np.uint64, sep=" ")
         if values.max() < 1 << 32:
@@ -159,7 +160,7 @@ def parse_words(text: str) -> np.ndarray:
 
 
 def parse_head(texts: dict[str, str]) -> dict[str, Any]:
-    """The stored attributes of `octree`; where the document leaves one out, its default."""
+    """Return the stored attributes of `octree`; where the document leaves one out, its default."""
     if "dim" not in texts:
         raise FileError("attribute dim is missing")
     head: dict[str, Any] = {"format_version": SCHEMA.version}

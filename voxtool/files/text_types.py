@@ -25,7 +25,7 @@ TYPES = {
     "double": "f8",
 }
 NUMBERS = re.compile(rb"(?:\s*(?:[-+.\d]\S*|(?:nan|inf)\b))*", re.IGNORECASE)
-# What stands before numbers of a type: in legacy VTK files the type, elsewhere the element.
+# The words before numbers of a type: the type in legacy VTK files, the element elsewhere.
 TYPED = re.compile(
     rb"(?mi)^[ \t]*(?:(?:POINTS|[XYZ]_COORDINATES|SCALARS|VECTORS|NORMALS|TENSORS)[ \t]+\S+|"
     rb"OFFSETS|CONNECTIVITY|\S+[ \t]+\d+[ \t]+\d+)[ \t]+("

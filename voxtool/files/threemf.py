@@ -82,7 +82,7 @@ class Object:
 def parse(name: str, data: bytes, limit: int, max_memory: int | None, keep: Sequence[str]) -> Read:
     """Return all that a 3MF builds.
 
-    name : of the file, for messages; limit : bytes that its parts may unpack to; max_memory :
+    name : the file's, for messages; limit : bytes that its parts may unpack to; max_memory :
     bytes that the placed meshes may take.
     """
     try:

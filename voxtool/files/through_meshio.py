@@ -59,7 +59,7 @@ ROWS = {
 
 
 def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
-    """The mesh as meshio reads it; its messages become warnings."""
+    """Return the mesh as meshio reads it; its messages become warnings."""
     try:
         import_module("meshio")
     except ImportError:
@@ -139,7 +139,7 @@ class _Ending:
     ends = 0
 
     def readline(self, *args: Any) -> Any:
-        """The next line."""
+        """Return the next line."""
         line = super().readline(*args)  # pyright: ignore[reportAttributeAccessIssue]
         self.ends += not line
         if self.ends > MOST_ENDS:
@@ -160,7 +160,7 @@ class _Abaqus(_Text):
     meshio would go through all elements."""
 
     def readline(self, *args: Any) -> Any:
-        """The next line."""
+        """Return the next line."""
         line = super().readline(*args)
         if line.startswith("*") and not line.startswith("**"):
             keyword, *words = line.split(",")
@@ -271,7 +271,7 @@ class _Declared:
             self.rows = ROWS.get(tag, "")
 
     def size(self) -> int:
-        """Bytes of the arrays of checked pieces."""
+        """Return the bytes of the arrays of checked pieces."""
         total = 0
         for rows, attributes in self.arrays:
             bits = re.search("[0-9]+$", attributes.get("type", ""))

@@ -52,20 +52,19 @@ NAMES = (
     '<StructuredAnnotations><MapAnnotation ID="Annotation:0" Namespace="voxtool.labels"><Value>'
     "{rows}</Value></MapAnnotation></StructuredAnnotations>"
 )
-NAME_BYTES = 64  # of a name in the XML, beyond its letters
+NAME_BYTES = 64  # bytes of a name in the XML, beyond its letters
 TYPES = {"bool": "bit", "float32": "float", "float64": "double"}
 
 
 def size(image: Dense) -> int:
-    """Bytes of the file: of cells that are neither far inside nor far outside, and of the other
-    ones at a high compression."""
+    """Return the bytes of the file, in which cells far inside or far outside take few."""
     mixed = image.mixed // 4 if image.dtype == bool else image.mixed * image.dtype.itemsize
     named = sum(NAME_BYTES + 6 * len(name.encode()) for name in getattr(image, "names", ()))
     return mixed + _raw(image) // (PACKED // 4) + PAGE_BYTES * max(image.shape) + named
 
 
 def _raw(image: Dense) -> int:
-    """Bytes of all pages, unpacked."""
+    """Return the bytes of all pages, unpacked."""
     return image.nbytes // 4 if image.dtype == bool else image.nbytes
 
 

@@ -1,7 +1,7 @@
 """Packed data that are not trusted: zip archives and streams of gzip, bzip2 and the like.
 
-Whatever a decompressor raises becomes one FileError. What little data unpack to much is refused
-before it is unpacked.
+Whatever a decompressor raises becomes one FileError. Little data that would unpack to much are
+refused before they are unpacked.
 """
 
 from __future__ import annotations

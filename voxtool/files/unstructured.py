@@ -1,8 +1,8 @@
 """Unstructured meshes of volume cells with a scalar: Exodus, and what meshio reads (the extra
 `tets`).
 
-exodus.py and through_meshio.py guard against hostile files. What the cells and the scalars
-themselves are is checked by voxtool.tets.mesh, which any mesh passes.
+exodus.py and through_meshio.py guard against hostile files. voxtool.tets.mesh, which any mesh
+passes, checks the cells and the scalars themselves.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ SHOWN, LETTERS = 20, 60  # names, at most, that a message lists, and letters of 
 def read(
     path: PathLike, scalar: str | None, component: str | int | None, max_memory: int | None = None
 ) -> UnstructuredMesh:
-    """The unstructured mesh of a file and one of its arrays; see voxtool.read_unstructured."""
+    """Return the unstructured mesh of a file and one of its arrays; see
+    voxtool.read_unstructured."""
     if path == STREAM:
         raise FileError("a volume cannot be read from stdin: name a file, such as mesh.vtu")
     path = os.fspath(path)
@@ -70,7 +71,7 @@ def read(
 
 
 def _kind(name: str, file: BinaryIO) -> str:
-    """The name that meshio has for the format of a file."""
+    """Return the name that meshio has for the format of a file."""
     extension = PurePath(name).suffix.lower()
     if name.lower().endswith((".tet.h5", ".svo.h5", ".adf.h5")):
         raise FileError(f"{name} is no mesh: name the file that it was made from")
@@ -87,7 +88,7 @@ def _kind(name: str, file: BinaryIO) -> str:
 
 
 def _array(name: str, read: Any, scalar: str | None) -> tuple[str, list[np.ndarray], bool]:
-    """The name of the array, its parts, and whether it is one at points."""
+    """Return the name of the array, its parts, and whether it is one at points."""
     arrays = {key: (list(parts), False) for key, parts in read.cell_data.items()}
     arrays |= {key: ([values], True) for key, values in read.point_data.items()}
     there = _listed([printable(key) for key in sorted(arrays)], ", ")
@@ -102,7 +103,7 @@ def _array(name: str, read: Any, scalar: str | None) -> tuple[str, list[np.ndarr
 
 
 def _complete(name: str, chosen: str, parts: list[Any], blocks: list[Any]) -> list[np.ndarray]:
-    """The parts of an array, zeros for those blocks of flat cells that have none."""
+    """Return the parts of an array, zeros for those blocks of flat cells that have none."""
     for number, (part, block) in enumerate(zip(parts, blocks, strict=True), 1):
         if part is None and is_volume(block.type, block.data):
             raise FileError(
@@ -119,7 +120,8 @@ def _complete(name: str, chosen: str, parts: list[Any], blocks: list[Any]) -> li
 def _scalars(
     name: str, chosen: str, arrays: list[np.ndarray], component: str | int | None
 ) -> tuple[list[np.ndarray], str]:
-    """One float64 an item of the arrays, which are the parts of one; and what they are called."""
+    """Return one float64 an item of the arrays, which are the parts of one; and what they are
+    called."""
     arrays = [np.asarray(array) for array in arrays]
     if any(array.dtype.kind not in "biuf" for array in arrays):
         raise FileError(f"{name}: {chosen} holds no real numbers ({arrays[0].dtype})")
@@ -144,6 +146,7 @@ def _scalars(
 
 
 def _listed(names: list[str], between: str) -> str:
-    """Names in a message, the beginnings of long ones: the first and the last of many."""
+    """Return the names in a message, the beginnings of long ones: the first and the last of
+    many."""
     few = names if len(names) <= SHOWN else [*names[: SHOWN - 2], "...", names[-1]]
     return between.join(name[:LETTERS] for name in few)

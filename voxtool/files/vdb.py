@@ -66,7 +66,7 @@ class Meta(NamedTuple):
 
     @classmethod
     def whole(cls, *values: int) -> Meta:
-        """Three numbers of 32 bits, or one of 64."""
+        """Return three numbers of 32 bits, or one of 64."""
         form, name = ("<3i", "vec3i") if len(values) == 3 else ("<q", "int64")
         return cls(name, struct.pack(form, *values))
 
@@ -76,7 +76,7 @@ class Meta(NamedTuple):
 
 
 def size(image: VoxelImage) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     _check_type(image)
     corners, _ = image.block_nodes(LEAF_SIDE)
     tiles = tiles_of(image.cubes(LEAF_SIDE))
@@ -211,7 +211,7 @@ def string(value: str | bytes) -> bytes:
 
 
 def header_of(identifier: UUID, grids: int = 1) -> bytes:
-    """Return the opening of a file of so many grids."""
+    """Return the opening of a file, given the number of its grids."""
     fixed = struct.pack("<qIIIB", MAGIC, FILE_VERSION, *LIBRARY, True) + str(identifier).encode()
     return fixed + struct.pack("<II", 0, grids)
 

@@ -27,7 +27,7 @@ FLOAT = np.dtype("<f4")
 ZIP, ACTIVE_MASK, BLOSC = 1, 2, 4  # flags of a grid's compression
 # How the inactive values of a node are stored; + and - are of the background's sign.
 ALL_PLUS, ALL_MINUS, ONE_VALUE, PLUS_OR_MINUS, PLUS_OR_VALUE, TWO_VALUES, EVERY_VALUE = range(7)
-ROOT_BITS = 7  # of the coordinates of an upper node in a key
+ROOT_BITS = 7  # bits of the coordinates of an upper node in a key
 CHUNK = 1 << 16  # leaves that are written at once
 KEY_SHIFTS = {  # the low bit of the coordinates of a node in a key, and how many there are
     "leaf": (0, LOWER),

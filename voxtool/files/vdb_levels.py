@@ -45,7 +45,7 @@ LEAF_BYTES = 3 * MASK_BYTES + 9 + 4 * CELLS  # masks, the way of the values, the
 
 
 def size(image: LevelSet) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     lower, upper = parents_of(np.sort(keys_of(image.corners)), tiles_of([]))
     nodes = sum(
         len(keys) * (3 * 8**power // 8 + 64) for keys, power in ((lower, LOWER), (upper, UPPER))

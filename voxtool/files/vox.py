@@ -32,7 +32,7 @@ SPARSE = 64  # voxels of a model for each that is set, from which on they are pa
 LAYERS = 16  # of a model that are listed at once
 WORLD_SIDE = 2000  # voxels along a side of MagicaVoxel's world
 MOST_BYTES = (1 << 31) - 1  # that a chunk counts
-NODE_BYTES = 200  # of the two nodes and the chunks of a model, at most
+NODE_BYTES = 200  # bytes of the two nodes and the chunks of a model, at most
 COLOURS = 256  # of a palette, of which the last is not used
 # Attributes of the root node: the grid, its low voxel in the scene, and the unit.
 GRID, LOW, UNITS = "voxtool_grid", "voxtool_low", "voxtool_units"
@@ -43,7 +43,7 @@ DEEPEST = 64  # nodes inside nodes
 
 
 def size(image: VoxelImage) -> int:
-    """Bytes of the file, at most."""
+    """Return the bytes of the file, at most."""
     image = image.with_dtype(bool)
     sides = [(len(cubes.corners), cubes.side) for cubes in image.cubes(BLOCK)]
     full = sum(count * side**3 for count, side in sides if side >= MODEL_SIDE)
@@ -301,7 +301,7 @@ class Content:
 
 def read(file: BinaryIO, size: int) -> Stored:
     """Return the colours of the voxels, 1 to 255, of all models that the scene shows: hidden ones,
-    too, and of animations the first frame."""
+    too, and those of the first frame of animations."""
     content = _content(file, size)
     placed = content.placed()
     if not placed:

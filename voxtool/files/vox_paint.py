@@ -30,9 +30,9 @@ class Paint:
     colours : (P, 4) uint8
         The palette, of number 1 on.
     known : (N,) uint32
-        Of colours: those that cells have, packed and in ascending order.
+        The colours that cells have, packed and in ascending order.
     place : (N,) int64
-        Where each of these is in the palette.
+        Where each known colour is in the palette.
     """
 
     image: VoxelImage
@@ -63,7 +63,7 @@ class Paint:
         return cls(image, attribute, colours, known, place)
 
     def rgba(self, count: int) -> bytes:
-        """Return the palette as .vox stores it, of so many colours."""
+        """Return the palette as .vox stores it, given the number of its colours."""
         rows = np.empty((count, 4), np.uint8)
         rows[:] = GREY
         rows[: len(self.colours)] = self.colours

@@ -276,8 +276,8 @@ def check_values(dtype: np.dtype, shape: Sequence[int]) -> None:
 
 
 def grid_text(image: Dense) -> str:
-    """Return shape, origin and pitch of an image as JSON, without rounding; of a normalized mesh
-    the transform, too."""
+    """Return shape, origin and pitch of an image as JSON, without rounding, and the transform of a
+    normalized mesh."""
     place = {name: [v.hex() for v in getattr(image, name)] for name in ("origin", "pitch")}
     if isinstance(image, VoxelImage | AttributeImage) and image.octree.transform:
         place["transform"] = [v.hex() for v in image.octree.transform]

@@ -61,7 +61,7 @@ TYPES = {
 
 
 def size(image: Dense) -> int:
-    """Bytes of the file."""
+    """Return the bytes of the file."""
     found = EXTRA + image.nbytes
     for attribute in attributes_of(image):
         found += attribute.nbytes + EXTRA + len(_names(attribute.names))

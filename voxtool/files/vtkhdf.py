@@ -34,12 +34,12 @@ VERSION = (2, 4)
 CHUNK = 1 << 20  # values of a chunk of a dataset
 DEFLATE = 4  # zlib's level: a tenth more bytes than by VTK's 5, in two thirds of the time
 EXTRA = 1 << 16  # bytes of the structure of the file
-NAME_BYTES = 48  # of a name of a label, beyond its letters
+NAME_BYTES = 48  # bytes of a name of a label, beyond its letters
 FULL = 255  # the coverage of a cell that is wholly set
 
 
 def size(image: VoxelImage) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     source = _source(image)
     attributes = attributes_of(image)
     cells = sum(TreeCells(source.octree, source.level, attributes).by_depth)

@@ -115,7 +115,7 @@ class TreeCells:
 
     @cached_property
     def _bricks_divided(self) -> np.ndarray:
-        """Whether each brick has children, (m,) bool."""
+        """Flags of the bricks that have children, (m,) bool."""
         parts = [np.empty(0, bool)]
         for part in self._pieces():
             bricks = self.octree.bricks[part]

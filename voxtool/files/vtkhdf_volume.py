@@ -43,13 +43,13 @@ class VolumeCells:
 
     @property
     def text(self) -> str:
-        """The same for people."""
+        """The counts of the export in words."""
         volume = self.source
         return f"{len(volume.cells):,} {volume.noun}, {len(volume.vertices):,} points"
 
 
 def size(image: VolumeCells) -> int:
-    """A bound of the bytes of the file."""
+    """Return a bound of the bytes of the file."""
     return EXTRA + image.host_bytes
 
 

@@ -57,7 +57,7 @@ PIECE = 1 << 20  # cells at once of arrays that need no layers
 
 
 def size(mesh: Hexahedra) -> int:
-    """Bytes of the file."""
+    """Return the bytes of the file."""
     return size_of(_parts(mesh))
 
 

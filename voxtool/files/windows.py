@@ -138,7 +138,7 @@ class Store:
             yield self._checked(key, name, BRICK)
 
     def take(self, key: Key) -> Iterator[np.ndarray]:
-        """Yield the same; each block is then removed from the disk."""
+        """Yield the bricks of a window in blocks, and remove each block from the disk after it."""
         for name in self._blocks(key):
             yield self._checked(key, name, BRICK)
             self._path(key, name).unlink(missing_ok=True)
@@ -228,7 +228,7 @@ class Store:
             os.fsync(file.fileno())
 
     def _error(self, error: OSError) -> FileError:
-        """The error of reading or writing a file of the folder."""
+        """Return the error of reading or writing a file of the folder."""
         if isinstance(error, FileNotFoundError):
             return FileError(
                 f"{self.folder} is gone: another run or program has taken or removed it: run the "

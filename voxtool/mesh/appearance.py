@@ -30,7 +30,7 @@ class Parts(Data):
     labels : (F,) int32
         Index of the part's name.
     names : tuple of str
-        Of the parts, in the order of the file; names may repeat.
+        Names of the parts, in the order of the file; they may repeat.
     """
 
     labels: np.ndarray
@@ -81,7 +81,7 @@ class Appearance(Data):
     ----------
     materials : tuple of Material
     material : (F,) int32
-        Of each face, an index of a material, or -1.
+        Index of each face's material, or -1.
     uv : (F, 3, 2) float64, optional
         Texture coordinates u to the right and v down, from 0 to 1 over the image, of each corner.
     colours : (V, 4) float64, optional
@@ -97,7 +97,7 @@ class Appearance(Data):
 def check_described(
     name: str, vertices: int, faces: int, parts: dict[str, Parts], look: Appearance | None
 ) -> None:
-    """Raise MeshError if parts or an appearance do not fit a mesh of so many vertices and faces."""
+    """Raise MeshError if parts or an appearance do not fit a mesh, by its vertices and faces."""
     where = name or "mesh"
     for what, grouping in parts.items():
         labels = grouping.labels

@@ -17,8 +17,8 @@ _found: dict[tuple[int, Callable[..., Any]], Any] = {}
 def once(
     find: Callable[Concatenate[Mesh, More], Found],
 ) -> Callable[Concatenate[Mesh, More], Found]:
-    """Return `find` with its first result for each mesh kept. What follows the mesh may change how
-    it is found, as a device does, but not what."""
+    """Return `find` with its first result for each mesh kept. Arguments
+    after the mesh may change how it is found, as a device does, but not the result."""
 
     @wraps(find)
     def kept(mesh: Mesh, *args: More.args, **options: More.kwargs) -> Found:

@@ -40,7 +40,7 @@ class Sheets:
 
     of : (n,) int64: the first face of each face's sheet, of the faces on three positions.
     alike : (n,) bool: wound consistently with that face.
-    one_sided : (n,) bool: of a sheet with one side, such as a Moebius band.
+    one_sided : (n,) bool: part of a sheet with one side, such as a Moebius band.
     """
 
     of: np.ndarray

@@ -58,11 +58,11 @@ class TopologyCheck:
         return self.closed and not (self.nonmanifold_edges or self.inconsistent_edges)
 
     def as_dict(self) -> dict[str, int | bool | None]:
-        """The fields by name, of JSON types."""
+        """Return the fields by name, of JSON types."""
         return asdict(self)
 
     def summary(self) -> str:
-        """One line: "not closed: 223 boundary edges, 0 non-manifold edges, ..."."""
+        """Return one line: "not closed: 223 boundary edges, 0 non-manifold edges, ..."."""
         counts = (
             count_of(self.boundary_edges, "boundary edge"),
             count_of(self.nonmanifold_edges, "non-manifold edge"),
@@ -101,12 +101,12 @@ class SurfaceCheck(TopologyCheck):
         return self.shells - self.euler // 2
 
     def as_dict(self) -> dict[str, int | bool | None]:
-        """The fields and what follows from them by name, of JSON types."""
+        """Return the fields, and what follows from them, by name, of JSON types."""
         derived = {"watertight": self.watertight, "manifold": self.manifold, "genus": self.genus}
         return super().as_dict() | derived
 
     def summary(self) -> str:
-        """One line: as of a TopologyCheck, with the vertices, and the genus if there is one."""
+        """Return one line: that of a TopologyCheck, the vertices, and the genus if there is one."""
         vertices = count_of(self.nonmanifold_vertices, "vertex").replace(" ", " non-manifold ")
         genus = "" if self.genus is None else f", genus {self.genus}"
         return f"{super().summary()}, {vertices}{genus}"
@@ -372,7 +372,7 @@ def topology_of(mesh: Mesh, weld: bool = True) -> Topology:
 
 
 def _counts(mesh: Mesh, topology: Topology) -> dict[str, Any]:
-    """The fields of a TopologyCheck."""
+    """Return the fields of a TopologyCheck."""
     corners, count = topology.corners, topology.count
     flat = collinear(mesh.vertices[mesh.faces[topology.proper]])
     along = np.bincount(topology.edge, weights=topology.forward)

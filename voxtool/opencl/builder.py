@@ -42,7 +42,7 @@ class Builder:
         self._locks: dict[Any, threading.Lock] = {}  # held while a program is built
 
     def program(self, source: str, defines: Mapping[str, int | str]) -> Built:
-        """The program of kernels/`source` with the given -D options; waits for a thread that
+        """Return the program of kernels/`source` with the given -D options; waits for a thread that
         builds it. Raises DeviceError if it does not build."""
         key = _key(source, defines)
         with self._locks.setdefault(key, threading.Lock()):

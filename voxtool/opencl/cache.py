@@ -25,7 +25,8 @@ DIGEST = hashlib.sha256().digest_size
 
 @functools.cache
 def folder() -> Path | None:
-    """The folder of compiled programs, made for this user alone; None if there is none to use.
+    """Return the folder of compiled programs, made for this user alone; None if there is none to
+    use.
 
     It is $XDG_CACHE_HOME/voxtool or ~/.cache/voxtool. A folder that others can write to is not
     used, because drivers run what it holds.
@@ -46,7 +47,7 @@ def folder() -> Path | None:
 
 @functools.cache
 def temporary_folder() -> str:
-    """A folder for this process's compiled programs, removed at its end."""
+    """Return a folder for this process's compiled programs, removed at its end."""
     with watch.making:
         made = tempfile.TemporaryDirectory(prefix="voxtool-")
         watch.writing(made.name)
@@ -69,7 +70,7 @@ def warn_once() -> None:
 
 
 def place(*parts: str) -> Path | None:
-    """The file of a program that depends on these texts; None without a folder."""
+    """Return the file of a program that depends on these texts; None without a folder."""
     found = folder()
     if found is None:
         warn_once()
@@ -78,7 +79,7 @@ def place(*parts: str) -> Path | None:
 
 
 def load(file: Path) -> bytes | None:
-    """The compiled program in a file; None if there is none or it is damaged."""
+    """Return the compiled program in a file; None if there is none or it is damaged."""
     with suppress(OSError):
         content = file.read_bytes()
         if hashlib.sha256(content[DIGEST:]).digest() == content[:DIGEST]:

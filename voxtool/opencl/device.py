@@ -49,7 +49,7 @@ class Array:
     host: np.ndarray | None
 
     def get(self, start: int = 0, stop: int | None = None) -> np.ndarray:
-        """A copy of elements [start, stop) on the host; waits for the device."""
+        """Return a copy of elements [start, stop) on the host; waits for the device."""
         stop = self.size if stop is None else stop
         values = np.empty(stop - start, self.dtype)
         if values.size:
@@ -57,8 +57,8 @@ class Array:
         return values
 
     def take(self) -> np.ndarray:
-        """All elements on the host, without a copy where memory is shared; waits for the device.
-        The array must not be used again."""
+        """Return all elements on the host, without a copy where memory is shared; waits for the
+        device. The array must not be used again."""
         if self.host is None:
             values = self.get()
         else:
@@ -127,7 +127,8 @@ class Device:
         return min(self.info.memory, available_memory())
 
     def _buffer(self, flags: int, nbytes: int, host: np.ndarray | None = None) -> Any:
-        """A buffer of `nbytes`, or one that copies or uses the host's memory, as flags say."""
+        """Return a buffer of `nbytes`, or one that copies or uses the host's memory, as flags
+        say."""
         self._check_process()
         try:
             if host is None:
@@ -139,8 +140,8 @@ class Device:
             ) from error
 
     def _array(self, size: int, dtype: np.dtype | type, make: Callable[..., np.ndarray]) -> Array:
-        """An array of new memory; if it is shared, whole pages that `make` (np.empty, np.zeros)
-        allocates."""
+        """Return an array of new memory; if it is shared, whole pages that `make` (np.empty,
+        np.zeros) allocates."""
         dtype = np.dtype(dtype)
         nbytes = max(-(-size * dtype.itemsize // 4) * 4, 4)  # whole words, for zeros
         flags = self._cl.mem_flags.READ_WRITE
@@ -158,11 +159,11 @@ class Device:
         return Array(self, dtype, size, buffer, host)
 
     def empty(self, size: int, dtype: np.dtype | type) -> Array:
-        """An array of undefined content."""
+        """Return an array of undefined content."""
         return self._array(size, dtype, np.empty)
 
     def zeros(self, size: int, dtype: np.dtype | type) -> Array:
-        """An array of zeros."""
+        """Return an array of zeros."""
         array = self._array(size, dtype, np.zeros)
         if array.host is None:
             size = array.buffer.size
@@ -170,7 +171,7 @@ class Device:
         return array
 
     def put(self, values: np.ndarray) -> Array:
-        """A copy of a host array, flattened, on the device."""
+        """Return a copy of a host array, flattened, on the device."""
         if not values.size:
             return self.empty(0, values.dtype)
         flags = self._cl.mem_flags.READ_WRITE | self._cl.mem_flags.COPY_HOST_PTR
@@ -178,8 +179,8 @@ class Device:
         return Array(self, values.dtype, values.size, buffer, None)
 
     def view(self, values: np.ndarray) -> Array:
-        """A host array for kernels to read: shared where it can be, or else a copy. It must not
-        change until the device has read it."""
+        """Return a host array for kernels to read: shared where it can be, or else a copy. It must
+        not change until the device has read it."""
         return self.put(values) if values.ctypes.data % ALIGNMENT else self.view_from(values)[0]
 
     def view_from(self, values: np.ndarray) -> tuple[Array, int]:
@@ -224,7 +225,8 @@ class Device:
             self._retired.append(memory)
 
     def keep(self, owner: Any, kind: str, nbytes: int, make: Callable[[], T]) -> T:
-        """The result of `make` for this owner and kind, kept on the device for the next call.
+        """Return the result of `make` for this owner and kind, kept on the device for the next
+        call.
 
         It is released with its owner, or when the total exceeds KEPT_SHARE of the memory; then the
         least recently used goes first.
@@ -248,7 +250,7 @@ class Device:
 
     @contextlib.contextmanager
     def _finishing(self) -> Iterator[None]:
-        """The work in this block waits for all before it; then retired memory is released."""
+        """Release the memory retired before the block, once it has waited for all earlier work."""
         with self._lock:
             retired, self._retired = self._retired, []
         yield
@@ -266,7 +268,7 @@ class Device:
         self.builder.prepare(requests)
 
     def kernel(self, source: str, name: str, **defines: int | str) -> Callable[..., None]:
-        """A kernel of kernels/`source`, built once with the given -D options.
+        """Return a kernel of kernels/`source`, built once with the given -D options.
 
         Called as `kernel(size, *args, local=64, **named)`: at least `size` work-items (none for 0;
         it is rounded up to whole work-groups of `local`, and PoCL compiles a kernel anew for each
@@ -343,7 +345,7 @@ class Device:
             self._events.append((self._thread.stage, event))
 
     def stage_times(self) -> dict[str, float]:
-        """Seconds on the device by stage since the last call, in order of first use."""
+        """Return the seconds on the device by stage since the last call, in order of first use."""
         self.queue.finish()
         events, self._events = self._events, []
         times: dict[str, float] = {}

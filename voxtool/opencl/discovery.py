@@ -46,11 +46,11 @@ class DeviceInfo:
         return f"{self.name} ({self.platform})"
 
     def as_dict(self) -> dict[str, Any]:
-        """All properties in JSON types."""
+        """Return all properties in JSON types."""
         return asdict(self)
 
     def matches(self, choice: str) -> bool:
-        """True if `choice` is the index, the kind, or a part of the names of this device."""
+        """Return True if `choice` is the index, the kind, or a part of the names of this device."""
         if choice.isdecimal():
             return self.index == int(choice)
         if choice.lower() in ("cpu", "gpu"):
@@ -60,7 +60,7 @@ class DeviceInfo:
 
 
 def list_devices() -> list[DeviceInfo]:
-    """Every device with the probe's outcome, in the order in which they are preferred."""
+    """Return every device with the probe's outcome, in the order in which they are preferred."""
     devices = _cl_devices()
     infos = [_info(i, d, "") for i, d in enumerate(devices)]
     found = []
@@ -71,7 +71,7 @@ def list_devices() -> list[DeviceInfo]:
 
 
 def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
-    """The device to use.
+    """Return the device to use.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def _watch(used: DeviceInfo, infos: list[DeviceInfo]) -> None:
 
 
 def default_device() -> Device:
-    """The device of calls that name none: `shared_device()`."""
+    """Return the device of calls that name none: `shared_device()`."""
     return shared_device()
 
 
 def shared_device(choice: str | None = None, *, profile: bool = False) -> Device:
-    """The device of `open_device(choice, profile=profile)`, opened once a process.
+    """Return the device of `open_device(choice, profile=profile)`, opened once a process.
 
     It is opened again in a child process after a fork, and when $VOXTOOL_DEVICE changes. Threads
     may share it. Raises DeviceError as `open_device`.
@@ -152,7 +152,7 @@ if hasattr(os, "register_at_fork"):
 
 
 def no_usable_device(failures: list[str]) -> DeviceError:
-    """The error that says what to install, or what to do instead."""
+    """Return the error that says what to install, or what to do instead."""
     hint = driver.FORK_HINT if driver.forks else driver.INSTALL_HINT
     if folder := os.environ.get("OCL_ICD_VENDORS"):
         hint += f"; only drivers in OCL_ICD_VENDORS={folder} were sought"
@@ -160,7 +160,7 @@ def no_usable_device(failures: list[str]) -> DeviceError:
 
 
 def _cl_devices() -> list[Any]:
-    """Every device of every platform; GPUs first, otherwise in the loader's order."""
+    """Return every device of every platform; GPUs first, otherwise in the loader's order."""
     cl = driver.opencl()
     try:
         found = [d for p in cl.get_platforms() for d in p.get_devices()]
@@ -187,8 +187,8 @@ def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
 
 
 def _probe(cl_device: Any, source: str = PROBE) -> str:
-    """The outcome of a three-line kernel in a work-group as large as any of ours: "ok", or the
-    first line of the failure."""
+    """Return the outcome of a three-line kernel in a work-group as large as any of ours: "ok", or
+    the first line of the failure."""
     cl = driver.opencl()
     if not driver.survives(cl_device.platform.name.strip()):
         return "failed: this driver does not work in a forked process"

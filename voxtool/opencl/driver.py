@@ -31,7 +31,7 @@ forks = 0  # since the drivers were loaded, on the way to this process
 
 @functools.cache
 def opencl() -> Any:
-    """pyopencl, imported with the environment's own CPU driver in sight.
+    """Return pyopencl, imported with the environment's own CPU driver in sight.
 
     The loader reads OCL_ICD_VENDORS, a folder of .icd files, when the platforms are first asked
     for. If the extra `cpu` is installed and nobody has set the variable, it names a folder with
@@ -79,5 +79,5 @@ def _count_fork() -> None:
 
 
 def survives(platform: str) -> bool:
-    """True if a platform can be used in this process."""
+    """Return True if a platform can be used in this process."""
     return not forks or platform not in LOST_IN_FORK

@@ -66,7 +66,7 @@ HOMES = {
 
 
 def generated(name: str) -> str:
-    """The text of a generated header."""
+    """Return the text of a generated header."""
     return import_module(HOMES[name]).HEADERS[name]
 
 

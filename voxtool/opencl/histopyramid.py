@@ -2,7 +2,7 @@
 
 A level sums 2, 4 or 5 values of the one below, up to a single value, the number of outputs. An
 output's work-item finds its value on the way down, in as many steps as there are levels; a scan
-would give each value its first output. Of 5 values 4 are stored, as the walk needs no fifth
+would give each value its first output. 4 of 5 values are stored, as the walk needs no fifth
 [voCCeL, section 4.1], so the levels hold about as many numbers as there are values.
 
 Kernels: kernels/opencl/histopyramid.cl and, for kernels of outputs, histopyramid.h.

@@ -53,7 +53,8 @@ class Parameter:
         return 4 if self.width == 3 else self.width
 
     def pack(self, value: Any) -> Any:
-        """The argument for pyopencl: the buffer of an Array or Image, or the bytes of a vector."""
+        """Return the argument for pyopencl: the buffer of an Array or Image, or the bytes of a
+        vector."""
         if not self.is_packed:
             return getattr(value, "buffer", value)
         components = np.asarray(value)
@@ -65,8 +66,8 @@ class Parameter:
         raise ValueError(f"{self.name} = {value!r}")
 
     def convert(self, value: Any) -> Any:
-        """A packed value as a plain number, if it is one of numpy's that pyopencl refuses; raises
-        TypeError if it does not suit the parameter."""
+        """Return a packed value as a plain number, if it is one of numpy's that pyopencl refuses;
+        raises TypeError if it does not suit the parameter."""
         if self.is_packed:
             return value
         is_number = isinstance(value, (int, float, np.generic))
@@ -92,7 +93,7 @@ class Signature:
         self._packs = [p.pack if p.dtype is None or p.is_packed else None for p in parameters]
 
     def bind(self, size: int, args: tuple[Any, ...], named: dict[str, Any]) -> list[Any]:
-        """The arguments of a call, in order, as pyopencl takes them.
+        """Return the arguments of a call, in order, as pyopencl takes them.
 
         The parameter `n` is the number of work-items. Positional arguments fill the parameters that
         are not given by name, in order. Names that this variant of the kernel does not declare are
@@ -115,8 +116,8 @@ class Signature:
             raise TypeError(f"kernel {self.name} does not take {error}") from error
 
     def convert(self, values: list[Any]) -> list[Any]:
-        """The arguments of a call that pyopencl refused, as plain numbers; raises TypeError with
-        the name of one that does not suit its parameter."""
+        """Return the arguments of a call that pyopencl refused, as plain numbers; raises TypeError
+        with the name of one that does not suit its parameter."""
         try:
             return [p.convert(v) for p, v in zip(self.parameters, values, strict=True)]
         except TypeError as error:
@@ -124,7 +125,7 @@ class Signature:
 
 
 def signatures(text: str, defines: Mapping[str, int | str]) -> list[Signature]:
-    """The signature of every kernel in a flattened source, for these -D options."""
+    """Return the signature of every kernel in a flattened source, for these -D options."""
     text, macros = preprocess(text, defines)
     found = []
     for match in _KERNEL.finditer(text):
@@ -135,7 +136,7 @@ def signatures(text: str, defines: Mapping[str, int | str]) -> list[Signature]:
 
 
 def preprocess(text: str, defines: Mapping[str, int | str]) -> tuple[str, dict[str, str]]:
-    """The active lines of a source without comments, and its object-like macros."""
+    """Return the active lines of a source without comments, and its object-like macros."""
     text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", text.replace("\\\n", " "), flags=re.DOTALL)
     macros = {name: str(value) for name, value in defines.items()}
     lines: list[str] = []
@@ -167,7 +168,7 @@ def preprocess(text: str, defines: Mapping[str, int | str]) -> tuple[str, dict[s
 
 
 def _holds(word: str, condition: str, macros: dict[str, str]) -> bool:
-    """True if an #if, #ifdef or #ifndef holds; names that are no macros count as 0."""
+    """Return True if an #if, #ifdef or #ifndef holds; names that are no macros count as 0."""
     if word != "if":
         return (condition.split()[0] in macros) == (word == "ifdef")
     condition = re.sub(r"defined\s*\(\s*(\w+)\s*\)", lambda m: str(int(m[1] in macros)), condition)
@@ -180,7 +181,7 @@ def _holds(word: str, condition: str, macros: dict[str, str]) -> bool:
 
 
 def _expand(text: str, macros: dict[str, str]) -> str:
-    """The text with its object-like macros replaced."""
+    """Return the text with its object-like macros replaced."""
     for _ in range(16):
         expanded = re.sub(r"\b[A-Za-z_]\w*\b", lambda m: macros.get(m[0], m[0]), text)
         if expanded == text:
@@ -190,7 +191,7 @@ def _expand(text: str, macros: dict[str, str]) -> str:
 
 
 def _closing(text: str, start: int) -> int:
-    """The place of the parenthesis that closes the one opened before `start`."""
+    """Return the place of the parenthesis that closes the one opened before `start`."""
     depth = 1
     for place in range(start, len(text)):
         depth += {"(": 1, ")": -1}.get(text[place], 0)

@@ -20,7 +20,7 @@ SCAN, RADIX_SORT, BUCKET_SORT, COMPACTION = (
 GROUP = 256  # work-items of a group that scans
 ITEMS = 8  # values of one of them
 BLOCK = GROUP * ITEMS  # values that a work-group scans
-DIGIT_BITS = 8  # of a key that one pass sorts by, at most: by portions
+DIGIT_BITS = 8  # bits of a key that one pass sorts by, at most: by portions
 BLOCK_DIGIT_BITS = 4  # and by blocks, whose counts must fit local memory
 FEW = 32  # items of a bucket that insertion sort sorts fastest
 PORTIONS = 128  # portions of keys for each unit of the device, at most
@@ -200,7 +200,8 @@ def bucket_sort(buckets: Array, keys: Array, n: int, size: int) -> tuple[Array, 
 
 
 def unique(keys: Array, n: int) -> tuple[Array, int]:
-    """The distinct keys of n sorted ones (uint32 or uint64), in a new array, and their number.
+    """Return the distinct keys of n sorted ones (uint32 or uint64), in a new array, and their
+    number.
 
     The last key of each run is kept [voCCeL, section 6.3: uniquify]. Waits for the device.
     """
@@ -211,7 +212,7 @@ def unique(keys: Array, n: int) -> tuple[Array, int]:
 
 
 def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
-    """The values whose flag is 1, in their order, in a new array, and their number.
+    """Return the values whose flag is 1, in their order, in a new array, and their number.
 
     Waits for the device.
 

@@ -35,7 +35,7 @@ LONG = 1.0  # seconds of compiling that a command mentions
 
 @functools.cache
 def kernel_folder() -> Path:
-    """The folder of the kernels: inside an installed package, or beside it in a checkout."""
+    """Return the folder of the kernels: inside an installed package, or beside it in a checkout."""
     package = Path(__file__).parents[1]
     for folder in (package / "kernels", package.parent / "kernels"):
         if folder.is_dir():
@@ -45,8 +45,8 @@ def kernel_folder() -> Path:
 
 @functools.cache
 def flatten(source: str, folder: Path | None = None) -> str:
-    """The text of kernels/`source`, or of `source` itself if it has lines, with its includes in
-    place, each once; folder : other than that of the kernels, for tests."""
+    """Return the text of kernels/`source`, or of `source` itself if it has lines, with its includes
+    in place, each once; folder : other than that of the kernels, for tests."""
     seen: set[str] = set()
 
     def label(name: str) -> str:
@@ -88,21 +88,22 @@ def changed_sources(change: Callable[[str], str]) -> Iterator[None]:
 
 
 def c_struct(name: str, dtype: np.dtype) -> str:
-    """The C declaration of a packed numpy record of 32- and 64-bit fields."""
+    """Return the C declaration of a packed numpy record of 32- and 64-bit fields."""
     assert dtype.fields is not None
     members = " ".join(f"{_C_TYPES[t.str]} {n};" for n, (t, *_) in dtype.fields.items())
     return f"typedef struct {{ {members} }} {name};"
 
 
 def c_constants(**values: SupportsInt) -> str:
-    """#define lines for whole numbers: hexadecimal, of the type that C gives them."""
+    """Return #define lines for whole numbers: hexadecimal, of the type that C gives them."""
     return "\n".join(f"#define {name} {int(value):#x}" for name, value in values.items())
 
 
 def build(
     cl: Any, context: Any, platform: str, source: str, defines: Mapping[str, int | str]
 ) -> Any:
-    """The program of kernels/`source`; raises DeviceError with the compiler's first error."""
+    """Return the program of kernels/`source`; raises DeviceError with the compiler's first
+    error."""
     options = [*OPTIONS, *(f"-D{name}={value}" for name, value in sorted(defines.items()))]
     if context.devices[0].single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
         options.append(ROUNDED)
@@ -119,7 +120,8 @@ def build(
 
 
 def compiled(cl: Any, context: Any, text: str, options: Sequence[str] = ()) -> Any:
-    """The program of a text, from the cache if it was compiled before; raises pyopencl's errors."""
+    """Return the program of a text, from the cache if it was compiled before; raises pyopencl's
+    errors."""
     from pyopencl.characterize import has_src_build_cache
 
     device = context.devices[0]
@@ -154,9 +156,9 @@ _compilations: list[Compilation] = []
 
 
 def compile_report() -> str:
-    """A line on the kernels compiled since the last call: how many, how long, and where they are
-    kept; "" if it took less than LONG, or they are not kept, of which `cache` warns. Time in which
-    two programs compiled counts once."""
+    """Return a line on the kernels compiled since the last call: how many, how long, and where they
+    are kept; "" if it took less than LONG, or they are not kept, of which `cache` warns. Time in
+    which two programs compiled counts once."""
     done = sorted(_compilations)
     _compilations.clear()
     seconds = end = 0.0

@@ -32,7 +32,7 @@ def drawn(
     """Return the picture of a matplotlib figure, (height, width, 4) float32, not premultiplied.
 
     width, height : pixels; paint : draws into the figure.
-    scale : of text and lines; face : the colour of the figure.
+    scale : that of text and lines; face : the colour of the figure.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -112,7 +112,7 @@ def _outline(picture: np.ndarray, level: Leaves, chosen: slice, scale: int) -> N
 
 LEAST_LEAF = 4  # pixels: smaller leaves get no lines
 ISOLINES = 9  # of each sign, at most
-MARGINS = (0.1, 0.02, 0.11, 0.05)  # left, right, bottom, top; of the picture's width
+MARGINS = (0.1, 0.02, 0.11, 0.05)  # left, right, bottom, top, as shares of the picture's width
 BAR = (0.03, 0.025, 0.08)  # from the plot to the scale, its width, and what its numbers take
 BYTES = 400  # a pixel, at most: the answer, the isolines, the picture
 

@@ -27,8 +27,8 @@ NET_STAGES = (
     "triangles",
     "read back",
 )
-POINT_BYTES = 104  # of a point whose nearest one is found, on the device
-VERTEX_HOST_BYTES = 1200  # of a vertex of the surface and its two faces, at peak
+POINT_BYTES = 104  # bytes of a point whose nearest one is found, on the device
+VERTEX_HOST_BYTES = 1200  # bytes of a vertex of the surface and its two faces, at peak
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class RepairPlan(Plan):
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes: of the stage that needs most."""
+        """The predicted bytes of the stage that needs most."""
         n, voxels = self.vertices, self.voxels.cost
         net = BRICK_BYTES * self.voxels.bricks + 2 * TILE_BYTES * self.voxels.bricks
         net += EDGE_BYTES[STYLE] * n

@@ -42,10 +42,10 @@ class Repaired(Data):
         between which the largest distance lies; "outer_mesh_to_result", from the input's outer
         surface alone, None if it has none; "pitch", "samples", "tolerance".
     wall
-        Of a hollow solid: "wanted", "thinnest" (between the surface of a cavity and the outer one,
+        For a hollow solid: "wanted", "thinnest" (between the surface of a cavity and the outer one,
         at vertices and centres of faces), "cavities", and how many of them are "closed".
     simplified
-        Of a simplified result: "wanted", "deviation" (a bound of the largest distance, both ways,
+        For a simplified result: "wanted", "deviation" (a bound of the largest distance, both ways,
         from what it was before; 0 if nothing was simplified), "triangles_before".
     """
 

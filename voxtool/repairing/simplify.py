@@ -1,8 +1,8 @@
 """Simplification: fewer triangles within a stated distance, by the library Manifold.
 
 Manifold collapses edges whose surroundings are flat to a tolerance, and keeps the surface closed
-and manifold, but leaves out shells that are flat to the tolerance as a whole: these keep all of
-their faces. How far the result lies from the surface, both ways, is then bounded
+and manifold, but leaves out shells that are completely flat to the tolerance: these keep all of
+their faces. The distance between the result and the surface, both ways, is then bounded
 (spatial/hausdorff.py), and its faces are tested for self-intersections. If it is too far away, it
 is simplified again to a tolerance smaller by as much, and a tenth more; if its faces intersect, to
 half the tolerance.

@@ -71,7 +71,7 @@ CASES: tuple[Case, ...] = (
 def selftest(
     device: Device, full: bool = False, cases: tuple[Case, ...] = CASES
 ) -> Iterator[Outcome]:
-    """The outcome of each case, as soon as it is known.
+    """Yield the outcome of each case, as soon as it is known.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ JOINT = slice(5, 7)  # what a contraction would round less often
 
 
 def compute(device: Device, name: str, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """(7, N): the results of the kernel `compute` for each three numbers."""
+    """Return (7, N): the results of the kernel `compute` for each three numbers."""
     n, real = len(a), REALS[name]
     results = device.empty(7 * n, real)
     inputs = [device.put(v.astype(real)) for v in (a, b, c)]
@@ -29,14 +29,15 @@ def compute(device: Device, name: str, a: np.ndarray, b: np.ndarray, c: np.ndarr
 
 
 def computed(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """(7, N): the same by numpy, which contracts nothing."""
+    """Return (7, N): the results of numpy, which contracts nothing."""
     with np.errstate(all="ignore"):
         return np.stack([a + b, a - b, a * b, a / b, np.sqrt(a), a * b + c, a * b + b * c + c * a])
 
 
 def operands(name: str, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of all sizes, nearly equal ones, and whole ones; a is positive, none is 0. A third of
-    c is the negated product, so that a contracted a b + c is the rounding error of the product."""
+    """Return numbers of all sizes, nearly equal ones, and whole ones; a is positive, none is 0. A
+    third of c is the negated product, so that a contracted a b + c is the rounding error of the
+    product."""
     random, real = np.random.default_rng(1), REALS[name]
     size = np.exp2(random.integers(-RANGES[name], RANGES[name], (3, count)))
     a, b, c = random.uniform(1, 2, (3, count)) * size * random.choice([-1, 1], (3, count))
@@ -49,13 +50,13 @@ def operands(name: str, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def differing(found: np.ndarray, expected: np.ndarray) -> int:
-    """The number of values with different bits."""
+    """Return the number of values with different bits."""
     kind = f"u{found.itemsize}"
     return int(np.count_nonzero(found.view(kind) != expected.view(kind)))
 
 
 def rounding(name: str, what: str, rows: slice, *reals: str) -> Case:
-    """The case of rows of `compute` for these types."""
+    """Return the case of rows of `compute` for these types."""
 
     def measure(device: Device, full: bool) -> int:
         wrong = 0
@@ -112,7 +113,7 @@ def integers(device: Device, full: bool) -> int:
 
 
 def counted(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(11, N) uint64: the expected results of the kernel `count`, by Python integers."""
+    """Return (11, N) uint64: the expected results of the kernel `count`, by Python integers."""
     c, d = a.view(np.int64), b.view(np.int64)
     shift = b & np.uint64(63)
     i, j, k, m = (values.astype(object) for values in (a, b, c, d))

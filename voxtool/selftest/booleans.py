@@ -63,5 +63,5 @@ def _voxels(octree: Octree, low: Sequence[int]) -> set[tuple[int, ...]]:
 
 
 def _apart(octree: Octree, expected: set[tuple[int, ...]]) -> int:
-    """The number of voxels whose state differs from the expected one."""
+    """Return the number of voxels whose state differs from the expected one."""
     return len(_voxels(octree, list(map(int, octree.grid.origin))) ^ expected)

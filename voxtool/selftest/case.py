@@ -75,5 +75,5 @@ class Outcome:
 
 
 def case(name: str, what: str, unit: str, bound: float) -> Callable[[Measure], Case]:
-    """Decorator: the case of the function that measures it."""
+    """Return a decorator that makes a case of the function that measures it."""
     return lambda measure: Case(name, what, unit, bound, measure)

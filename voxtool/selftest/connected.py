@@ -44,7 +44,7 @@ def frames(device: Device, full: bool) -> int:
 
 
 def euler_number(voxels: np.ndarray) -> int:
-    """The corners less the edges plus the faces less the cubes of closed voxels, (n, 3)."""
+    """Return the corners less the edges plus the faces less the cubes of closed voxels, (n, 3)."""
     total = 0
     for cell in product((0, 1), repeat=3):
         ends = [np.array([0] if open_ else [0, 1]) for open_ in cell]

@@ -21,22 +21,22 @@ TETRAHEDRON = np.concatenate([np.zeros((1, 3)), np.eye(3)])
 
 
 def copies(n: int) -> Shape:
-    """Copies of one triangle."""
+    """Return copies of one triangle."""
     return np.eye(3), np.tile([0, 1, 2], (n, 1))
 
 
 def points(n: int) -> Shape:
-    """A tetrahedron, and triangles that are a point: its corner."""
+    """Return a tetrahedron, and triangles that are a point: its corner."""
     return TETRAHEDRON, np.concatenate([TETRAHEDRON_FACES, np.zeros((n - 4, 3), np.int64)])
 
 
 def collinear(n: int) -> Shape:
-    """Triangles whose corners are all on one line."""
+    """Return triangles whose corners are all on one line."""
     return np.arange(n + 2.0)[:, None] * (1, 1, 1), np.arange(n)[:, None] + (0, 1, 2)
 
 
 def fan(n: int) -> Shape:
-    """An open cone: triangles about one vertex, each of which shares edges with the next."""
+    """Return an open cone: triangles about one vertex, each of which shares edges with the next."""
     ring = np.insert(_circle(np.arange(n) / n), 2, 1, axis=1)
     corners = 1 + np.arange(n)
     faces = np.stack([np.zeros(n, np.int64), np.roll(corners, -1), corners], axis=1)
@@ -44,7 +44,7 @@ def fan(n: int) -> Shape:
 
 
 def closed_fans(n: int) -> Shape:
-    """A closed double cone: two vertices with half of the triangles each."""
+    """Return a closed double cone: two vertices with half of the triangles each."""
     vertices, faces = fan(n // 2)
     back = np.where(faces == 0, len(vertices), faces)[:, [0, 2, 1]]
     return np.concatenate([vertices, [[0, 0, 1.5]]]), np.concatenate([faces, back])
@@ -60,7 +60,7 @@ def loose_fan(n: int) -> Shape:
 
 
 def book(n: int) -> Shape:
-    """Triangles about one edge."""
+    """Return triangles about one edge."""
     x, z = sample_cube(n).T[:2]
     pages = np.insert(_circle(x), 2, z, axis=1)
     faces = np.stack([np.zeros(n, np.int64), np.ones(n, np.int64), 2 + np.arange(n)], axis=1)
@@ -68,13 +68,13 @@ def book(n: int) -> Shape:
 
 
 def loops(n: int) -> Shape:
-    """Small triangles apart from each other: a boundary loop each."""
+    """Return small triangles apart from each other: a boundary loop each."""
     corners = sample_cube(n)[:, None] + 0.2 / np.cbrt(n) * np.eye(3)
     return corners.reshape(-1, 3), np.arange(3 * n).reshape(-1, 3)
 
 
 def needles(n: int) -> Shape:
-    """Long thin triangles beside one line, no two of which share a vertex."""
+    """Return long thin triangles beside one line, no two of which share a vertex."""
     place, along = sample_cube(n), np.array([1, 0, 0])
     ends = THIN * np.insert(_circle(place[:, 0]) * (0.5 + place[:, 1:2]), 0, 0, axis=1)
     tips = np.roll(ends, 1, axis=0) + place[:, 2:] * along
@@ -83,12 +83,12 @@ def needles(n: int) -> Shape:
 
 
 def shells(n: int) -> Shape:
-    """Small closed tetrahedra apart from each other."""
+    """Return small closed tetrahedra apart from each other."""
     return _tetrahedra(sample_cube(n // 4)[:, None] + 0.2 / np.cbrt(n) * TETRAHEDRON)
 
 
 def nested(n: int) -> Shape:
-    """Closed tetrahedra, each inside the one before."""
+    """Return closed tetrahedra, each inside the one before."""
     size = 2 - np.arange(n // 4) / (n // 4)
     return _tetrahedra(size[:, None, None] * (TETRAHEDRON - 0.25))
 

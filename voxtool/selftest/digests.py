@@ -38,13 +38,13 @@ SIZE = (48, 40)
 
 
 def solid() -> Mesh:
-    """A ball and a box that passes through it: closed, with self-intersections."""
+    """Return a ball and a box that passes through it: closed, with self-intersections."""
     bar = shapes.box(np.array([-1.5, -0.25, -0.375]), np.array([1.25, 0.375, 0.125]))
     return mesh_from_arrays(*shapes.join(shapes.ball(2), bar))
 
 
 def hollow() -> Mesh:
-    """A box without a side."""
+    """Return a box without a side."""
     vertices, faces = shapes.box(np.zeros(3), np.array([7.0, 9.0, 8.0]))
     return mesh_from_arrays(vertices, faces[2:])
 
@@ -100,12 +100,12 @@ KINDS = {make.__name__: make for make in (octrees, surfaces, fields, pictures)}
 
 
 def stored() -> dict[str, dict[str, str]]:
-    """The digests of digests.json, by kind and name."""
+    """Return the digests of digests.json, by kind and name."""
     return json.loads(STORED.read_text(encoding="utf-8"))
 
 
 def differing(device: Device, kind: str, expected: dict[str, str]) -> int:
-    """The number of digests of a kind that differ from the expected ones, or are missing."""
+    """Return the number of digests of a kind that differ from the expected ones, or are missing."""
     found = dict(KINDS[kind](device))
     return sum(found.get(name) != expected.get(name) for name in found.keys() | expected.keys())
 

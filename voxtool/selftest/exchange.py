@@ -83,7 +83,7 @@ def hexahedra(device: Device, full: bool) -> int:
 
 
 def returned(image: VoxelImage) -> Octree:
-    """The octree of the list of an image's cells."""
+    """Return the octree of the list of an image's cells."""
     file = io.BytesIO()
     npz.write(image, file)
     file.seek(0)
@@ -91,7 +91,7 @@ def returned(image: VoxelImage) -> Octree:
 
 
 def differing(one: Octree, other: Octree) -> int:
-    """The number of voxels that only one of two octrees has."""
+    """Return the number of voxels that only one of two octrees has."""
     return len(np.setxor1d(morton_encode(one.occupied()), morton_encode(other.occupied())))
 
 

@@ -44,15 +44,15 @@ DEEPEST = 12  # first level whose identifiers have 64 bits
 
 
 def to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(N,) the distance to a box, negative inside."""
+    """Return the distance of each point to a box, (N,), negative inside."""
     beyond = np.maximum(low - points, points - high)
     outside = np.sqrt((np.maximum(beyond, 0) ** 2).sum(axis=1))
     return outside + np.minimum(beyond.max(axis=1), 0)
 
 
 def over_bound(field: DistanceField, exact: Exact, points: np.ndarray, device: Device) -> float:
-    """The largest error of a field at points, in bounds of their leaves; infinite if a leaf has no
-    bound."""
+    """Return the largest error of a field at points, in bounds of their leaves; infinite if a leaf
+    has no bound."""
     answer = query_adf(field, points, bounds=True, device=device)
     assert answer.bound is not None
     if not np.isfinite(answer.bound).all():
@@ -62,12 +62,12 @@ def over_bound(field: DistanceField, exact: Exact, points: np.ndarray, device: D
 
 
 def loose(corners: np.ndarray) -> Mesh:
-    """A mesh of (N, 3, 3) triangles that share no vertex."""
+    """Return a mesh of (N, 3, 3) triangles that share no vertex."""
     return mesh_from_arrays(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
 
 
 def distance_error(device: Device, triangles: np.ndarray, points: np.ndarray) -> float:
-    """The largest error of distances, in the mesh's extents."""
+    """Return the largest error of distances, in the mesh's extents."""
     found = TriangleDistance(loose(triangles), device)(points)
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     return float(np.abs(found - oracles.distances(points, triangles)).max()) / extent
@@ -150,8 +150,8 @@ def winding(device: Device, full: bool) -> float:
 
 
 def box_error(device: Device, low: np.ndarray, high: np.ndarray, level: int = 5) -> float:
-    """The largest error of a box's field, over its bounds and over the promised limit for triangles
-    between samples; at points everywhere, and near two of the sides."""
+    """Return the largest error of a box's field, over its bounds and over the promised limit for
+    triangles between samples; at points everywhere, and near two of the sides."""
     mesh = mesh_from_arrays(*shapes.box(low, high))
     field = build_adf(mesh, device, tolerance=2e-3, max_level=level)
     spread = sample_cube(POINTS)
@@ -242,7 +242,7 @@ def _lattice(nx: int, ny: int, nz: int, low: int = 1, step: int = 1) -> np.ndarr
 
 
 def slots(table: SpatialHash, keys: np.ndarray) -> list[int]:
-    """The slots, from the definition, one key at a time."""
+    """Return the slots, from the definition, one key at a time."""
     found = []
     for key in keys.tolist():
         i, j, k = (p % table.r for p in key)
@@ -326,8 +326,8 @@ def sampler(device: Device, full: bool) -> float:
 def _filter_bound(
     field: DistanceField, levels: np.ndarray, cells: np.ndarray, device: Device
 ) -> np.ndarray:
-    """The largest correct error of a filter in leaves, world units: FILTER_STEP of the range of the
-    corners an axis, and the rounding of the place in the texture to float32."""
+    """Return the largest correct error of a filter in leaves, world units: FILTER_STEP of the range
+    of the corners an axis, and the rounding of the place in the texture to float32."""
     edge = field.side * 0.5 ** levels.astype(float)[:, None, None]
     within = 5e-10 + (1 - 1e-9) * np.indices((2, 2, 2)).reshape(3, 8).T  # of the leaf
     corners = np.array(field.origin) + edge * (cells[:, None] + within)

@@ -32,8 +32,8 @@ BOUND = 16 * (2.0**-41 + 2.0**-46 * 4000) + 2.0**-25 + 2.0**-31
 def made(
     device: Device, vertices: np.ndarray, faces: np.ndarray, scale: float
 ) -> tuple[Octree, np.ndarray, np.ndarray, np.ndarray]:
-    """The octree of a mesh, whose vertices are in 1 / UNIT voxel; the voxels of its bricks, their
-    fractions, and the shares of their faces."""
+    """Return the octree of a mesh, whose vertices are in 1 / UNIT voxel; the voxels of its bricks,
+    their fractions, and the shares of their faces."""
     mesh = mesh_from_arrays(np.asarray(vertices, np.float64) / UNIT * scale, faces)
     grid = Grid(SHAPE, (0.0, 0.0, 0.0), (scale, scale, scale))
     octree = plan_fractions(mesh, grid, fill="parity", faces=True, device=device).run()
@@ -45,13 +45,13 @@ def made(
 
 
 def inside(total: Fraction) -> Fraction:
-    """The share inside by parity, from the integral of the winding number."""
+    """Return the share inside by parity, from the integral of the winding number."""
     return min(total % 2, 2 - total % 2)
 
 
 def worst(device: Device, vertices: np.ndarray, faces: np.ndarray, scale: float, n: int) -> float:
-    """The largest error of n of the cut voxels. Infinite if a voxel is set that has no part inside,
-    or not set though it has."""
+    """Return the largest error of n of the cut voxels. Infinite if a voxel is set that has no part
+    inside, or not set though it has."""
     _, cells, shares, _ = made(device, vertices, faces, scale)
     order = np.argsort((shares > 0) & (shares < 1), kind="stable")[::-1]
     error = 0.0
@@ -66,7 +66,7 @@ def worst(device: Device, vertices: np.ndarray, faces: np.ndarray, scale: float,
 def worst_face(
     device: Device, vertices: np.ndarray, faces: np.ndarray, scale: float, n: int
 ) -> float:
-    """The largest error of the faces of n of the set voxels, cut ones first."""
+    """Return the largest error of the faces of n of the set voxels, cut ones first."""
     _, cells, shares, found = made(device, vertices, faces, scale)
     order = np.argsort((shares > 0) + 0.5 * (found % 1 > 0).any(axis=1), kind="stable")[::-1]
     turned = volume(mesh_from_arrays(vertices.astype(np.float64), faces)) < 0

@@ -49,7 +49,7 @@ def links(device: Device, full: bool) -> float:
 
 
 def expected_count(dense: np.ndarray, count: int) -> int:
-    """The number of links from unset to set voxels."""
+    """Return the number of links from unset to set voxels."""
     padded = np.pad(dense, 1)
     found = 0
     for step in STEPS[1:count].astype(int):
@@ -59,7 +59,7 @@ def expected_count(dense: np.ndarray, count: int) -> int:
 
 
 def worst_place(found: WallLinks, centre: np.ndarray, radius: int) -> float:
-    """The largest error of some places, infinite if one is not there."""
+    """Return the largest error of some places, infinite if one is not there."""
     worst = 0.0
     for row, link in np.argwhere(found.flags)[::SOME].tolist():
         start = UNIT * found.voxels[row].astype(int) + UNIT // 2 - centre

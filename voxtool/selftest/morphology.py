@@ -27,8 +27,8 @@ FAR = MAX_DIM - 64
 @case("morphology", "2 voxels at dim 65536, radii at and below 5, 2^0.5 and 33: lattice points",
       "voxels wrong", 0)  # fmt: skip
 def balls_far_apart(device: Device, full: bool) -> int:
-    """Dilated, each voxel is a ball of as many lattice points as there are within the radius;
-    closed and opened, the set is as it was."""
+    """Dilate voxels: each is a ball of as many lattice points as there are within the radius.
+    Closed and opened, the set is as it was."""
     two = Octree.from_voxels(
         [(64, 64, 64), (FAR, FAR, FAR - 1)], Grid((MAX_DIM, MAX_DIM, MAX_DIM), (0, 0, 0), (1, 1, 1))
     )
@@ -43,7 +43,7 @@ def balls_far_apart(device: Device, full: bool) -> int:
 
 
 def lattice_points(radius: float) -> int:
-    """The lattice points within a radius of the origin."""
+    """Return the lattice points within a radius of the origin."""
     n, d = radius.as_integer_ratio()
     steps = range(-int(radius), int(radius) + 1)
     return sum((x * x + y * y + z * z) * d * d <= n * n for x, y, z in product(steps, repeat=3))
@@ -52,8 +52,8 @@ def lattice_points(radius: float) -> int:
 @case("resampling", "8 voxels at dim 65536 to twice their size, at and above a share of 1/8",
       "voxels wrong", 0)  # fmt: skip
 def shares_of_an_eighth(device: Device, full: bool) -> int:
-    """A voxel covers an eighth of the one twice its size, so all are kept at a share of 1/8, as
-    components, and none by the next larger number."""
+    """Resample voxels to twice their size: each covers an eighth of the new one, so all are kept
+    at a share of 1/8, as components, and none at the next larger number."""
     low = (64, FAR) if full else (64, 4096)
     cells = [(x, y, z) for x in low for y in low for z in low]
     grid = Grid((MAX_DIM, MAX_DIM, MAX_DIM), (0, 0, 0), (1, 1, 1))
@@ -68,8 +68,8 @@ def shares_of_an_eighth(device: Device, full: bool) -> int:
 
 @case("thin", "walls of boxes at dim 65536, 3 and 1 thick", "voxels wrong", 0)
 def walls_in_a_corner(device: Device, full: bool) -> int:
-    """Of 3 layers of a wall that 26-separates the middle one stays; a layer that 6-separates
-    loses its edges."""
+    """Thin walls: the middle layer of 3 stays of a wall that 26-separates; a layer that
+    6-separates loses its edges."""
     side = 40 if full else 10
     grid = Grid((MAX_DIM, MAX_DIM, MAX_DIM), (0, 0, 0), (1, 1, 1))
     depths = {c: [min(n, side - 1 - n) for n in c] for c in product(range(side), repeat=3)}

@@ -31,13 +31,13 @@ HALF = UNIT // 2
 
 
 def surface26(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
-    """Voxels whose closed cube touches a closed triangle, if only in one point."""
+    """Return voxels whose closed cube touches a closed triangle, if only in one point."""
     slabs = [[(UNIT * i, UNIT * (i + 1)) for i in range(n)] for n in shape]
     return {cell for t in polygons(triangles) for cell in touched(t, slabs)}
 
 
 def surface6(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
-    """The 6-separating set of [Schwarz 2010], with the centres moved by (ex, ey, ez)."""
+    """Return the 6-separating set of [Schwarz 2010], with the centres moved by (ex, ey, ez)."""
     found = set()
     for triangle in polygons(triangles):
         layers = [_overlapped(triangle, axis, shape[axis]) for axis in range(3)]
@@ -54,8 +54,8 @@ def surface6(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
 
 
 def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
-    """Voxels from whose centre, moved by (ex, ey, ez), the ray towards -x crosses an odd number of
-    triangles. A triangle that is edge-on to the ray is never crossed."""
+    """Return voxels from whose centre, moved by (ex, ey, ez), the ray towards -x crosses an odd
+    number of triangles. A triangle that is edge-on to the ray is never crossed."""
     odd: set[Cell] = set()
     for j, k, x, _ in crossings(triangles, shape):
         odd ^= {(i, j, k) for i in range(shape[0]) if x < (UNIT * i + HALF, 1, 0, 0)}
@@ -63,8 +63,8 @@ def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
 
 
 def crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
-    """The rows (j, k) that cross a triangle, the place along x, and 1 if the triangle is seen from
-    its front from -x, or -1."""
+    """Yield the rows (j, k) that cross a triangle, the place along x, and 1 if the triangle is seen
+    from its front from -x, or -1."""
     for triangle in polygons(triangles):
         (x0, y0, z0), (ax, ay, az), (bx, by, bz) = _edges(*triangle)
         det = ay * bz - az * by
@@ -83,7 +83,7 @@ def crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
 
 
 def to_dense(voxels: set[Cell], shape: Sequence[int]) -> np.ndarray:
-    """A set of voxels as a bool array indexed [x, y, z]."""
+    """Return a set of voxels as a bool array indexed [x, y, z]."""
     dense = np.zeros(shape, bool)
     for cell in voxels:
         dense[cell] = True
@@ -91,8 +91,8 @@ def to_dense(voxels: set[Cell], shape: Sequence[int]) -> np.ndarray:
 
 
 def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N,) float64: the distances of (N, 3) points to the nearest of (F, 3, 3) triangles, computed
-    exactly and rounded once."""
+    """Return (N,) float64: the distances of (N, 3) points to the nearest of (F, 3, 3) triangles,
+    computed exactly and rounded once."""
     n = len(points)
     places, scale = whole(np.concatenate([points, np.reshape(triangles, (-1, 3))]))
     corners = [places[i : i + 3] for i in range(n, len(places), 3)]
@@ -102,15 +102,16 @@ def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def whole(points: np.ndarray) -> tuple[list[list[int]], int]:
-    """The points times the least power of two that makes all their coordinates whole, and it."""
+    """Return the points times the least power of two that makes all their coordinates whole, and
+    it."""
     ratios = [[float(x).as_integer_ratio() for x in point] for point in points]
     scale = max((over for point in ratios for _, over in point), default=1)
     return [[x * (scale // over) for x, over in point] for point in ratios], scale
 
 
 def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N,) float64: the winding numbers of (F, 3, 3) triangles about (N, 3) points: their solid
-    angles over 4 pi [Oosterom 1983]."""
+    """Return (N,) float64: the winding numbers of (F, 3, 3) triangles about (N, 3) points: their
+    solid angles over 4 pi [Oosterom 1983]."""
     angles = np.zeros(len(points))
     for triangle in triangles:
         a, b, c = triangle[:, None] - points
@@ -122,14 +123,14 @@ def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def polygons(triangles: Iterable) -> Iterator[Polygon]:
-    """The triangles as lists of points of Python integers."""
+    """Yield the triangles as lists of points of Python integers."""
     for triangle in triangles:
         yield [tuple(int(v) for v in point) for point in triangle]
 
 
 def touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]]) -> Iterator[tuple]:
-    """Cells of a product of closed slabs that a convex polygon of whole numbers touches, which may
-    be a segment or a point."""
+    """Return cells of a product of closed slabs that a convex polygon of whole numbers touches,
+    which may be a segment or a point."""
     return _touched([(*point, 1) for point in polygon], slabs, 0)
 
 
@@ -164,7 +165,7 @@ def _clip(polygon: Polygon, axis: int, sign: int, bound: int) -> Polygon:
 
 
 def _edges(v0: Point, v1: Point, v2: Point) -> tuple[Point, Point, Point]:
-    """The first vertex and the edges from it to the others."""
+    """Return the first vertex and the edges from it to the others."""
     return (
         v0,
         tuple(q - p for p, q in zip(v0, v1, strict=True)),
@@ -173,8 +174,8 @@ def _edges(v0: Point, v1: Point, v2: Point) -> tuple[Point, Point, Point]:
 
 
 def _thin_forms(v0: Point, v1: Point, v2: Point) -> list[tuple[int, ...]]:
-    """Linear forms (d, a, b, c) such that the thin test passes at a centre where none of
-    d + a x + b y + c z is negative: the plane's two sides and three edges in each projection."""
+    """Return linear forms (d, a, b, c) such that the thin test passes at a centre where none of d +
+    a x + b y + c z is negative: the plane's two sides and three edges in each projection."""
     _, a, b = _edges(v0, v1, v2)
     n = [a[u] * b[v] - a[v] * b[u] for u, v in ((1, 2), (2, 0), (0, 1))]
     across = sum(u * v for u, v in zip(n, v0, strict=True))
@@ -191,14 +192,14 @@ def _thin_forms(v0: Point, v1: Point, v2: Point) -> list[tuple[int, ...]]:
 
 
 def _overlapped(polygon: Polygon, axis: int, count: int) -> list[int]:
-    """Layers of voxels that meet the polygon's bounds when they move by an infinitesimal."""
+    """Return layers of voxels that meet the polygon's bounds when they move by an infinitesimal."""
     low, high = (f(p[axis] for p in polygon) for f in (min, max))
     moved = [(i, (UNIT * i, 1), (UNIT * (i + 1), 1)) for i in range(count)]
     return [i for i, start, end in moved if start <= (high, 0) and end >= (low, 0)]
 
 
 def _spanned(polygon: Polygon, axis: int, count: int) -> list[int]:
-    """Layers of voxels whose centres lie within the polygon's bounds or on them."""
+    """Return layers of voxels whose centres lie within the polygon's bounds or on them."""
     low, high = (f(p[axis] for p in polygon) for f in (min, max))
     return [i for i in range(count) if low <= UNIT * i + HALF <= high]
 
@@ -221,7 +222,7 @@ def _to_segment(p: Point, a: Point, b: Point) -> Fraction:
 
 
 def _squared(p: Point, a: Point, b: Point, c: Point) -> Fraction:
-    """The square of the distance of a point from a triangle of whole numbers."""
+    """Return the square of the distance of a point from a triangle of whole numbers."""
     e, f, w = _minus(b, a), _minus(c, a), _minus(p, a)
     ee, ef, ff, we, wf = _dot(e, e), _dot(e, f), _dot(f, f), _dot(w, e), _dot(w, f)
     area = ee * ff - ef * ef  # the square of that of a parallelogram
@@ -238,8 +239,8 @@ def _root(square: Fraction) -> float:
 
 
 def filled(triangles: Iterable, cell: Sequence[int], unit: int = UNIT) -> Fraction:
-    """The integral of the winding number over a voxel: how much of it lies inside a closed mesh,
-    whose vertices are in 1/unit voxel.
+    """Return the integral of the winding number over a voxel: how much of it lies inside a closed
+    mesh, whose vertices are in 1/unit voxel.
 
     The mesh is the signed sum of the tetrahedra between a point and its triangles. Each is clipped
     to the voxel as a set of tetrahedra."""
@@ -259,8 +260,8 @@ def filled(triangles: Iterable, cell: Sequence[int], unit: int = UNIT) -> Fracti
 def filled_face(
     triangles: Iterable, cell: Sequence[int], axis: int, turned: bool = False, unit: int = UNIT
 ) -> Fraction:
-    """The integral of the winding number over the face between a voxel and the one before it along
-    an axis: the signed area of all that lies before it. A triangle in its plane counts if it
+    """Return the integral of the winding number over the face between a voxel and the one before it
+    along an axis: the signed area of all that lies before it. A triangle in its plane counts if it
     ends the inside; `turned`: the mesh is inside out. Vertices are in 1/unit voxel."""
     total = Fraction(0)
     p, q = (axis + 1) % 3, (axis + 2) % 3
@@ -278,7 +279,7 @@ def filled_face(
 
 
 def _half(polygon: list[list[Fraction]], axis: int, side: int, bound: int) -> list[list[Fraction]]:
-    """The part of a convex polygon with side * (coordinate - bound) >= 0."""
+    """Return the part of a convex polygon with side * (coordinate - bound) >= 0."""
     found = []
     for one, other in zip(polygon, polygon[1:] + polygon[:1], strict=True):
         a, b = (side * (corner[axis] - bound) for corner in (one, other))
@@ -301,7 +302,7 @@ def _six_volumes(tetrahedron: list[list[Fraction]]) -> Fraction:
 def _tetrahedra(
     corners: list[list[Fraction]], axis: int, side: int, bound: int
 ) -> list[list[list[Fraction]]]:
-    """Tetrahedra that fill the part of one with side * (coordinate - bound) >= 0."""
+    """Return tetrahedra that fill the part of one with side * (coordinate - bound) >= 0."""
     within = [p for p in corners if side * (p[axis] - bound) >= 0]
     beyond = [p for p in corners if side * (p[axis] - bound) < 0]
     if not beyond:

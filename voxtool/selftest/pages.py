@@ -51,7 +51,7 @@ def wrong_values(content: Content, page: Page) -> tuple[int, int]:
 
 
 def unpacked(page: Page) -> tuple[dict, dict[str, np.ndarray]]:
-    """The facts in a page, and its arrays by name, flat, as a browser unpacks them."""
+    """Return the facts in a page, and its arrays by name, flat, as a browser unpacks them."""
     blocks = {name: text for _, name, text in BLOCK.findall(page.html)}
     facts, arrays = json.loads(blocks["facts"]), {}
     for name, told in facts["arrays"].items():
@@ -63,8 +63,8 @@ def unpacked(page: Page) -> tuple[dict, dict[str, np.ndarray]]:
 
 
 def nodes_of(facts: dict, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The bricks and the leaves wholly inside that the page of an octree holds: keys of level and
-    Morton code, and masks of voxels, (N,) uint64 each. Nodes come level by level."""
+    """Return the bricks and the leaves wholly inside that the page of an octree holds: keys of
+    level and Morton code, and masks of voxels, (N,) uint64 each. Nodes come level by level."""
     octants = np.indices((2, 2, 2))[::-1].reshape(3, 8).T
     bits = np.unpackbits(arrays["children"].reshape(-1, 2), axis=1, bitorder="little")
     cells, begin, keys = np.zeros((1, 3), np.int64), 0, []
@@ -81,7 +81,7 @@ def nodes_of(facts: dict, arrays: dict[str, np.ndarray]) -> tuple[np.ndarray, np
 
 
 def _nodes(octree: Octree) -> tuple[np.ndarray, np.ndarray]:
-    """The same of an octree itself."""
+    """Return the keys and the masks of an octree itself, as `nodes_of` does of its page."""
     *above, last = octree.levels()
     full = octree.bricks != 0
     keys = [_keys(level.number, level.codes[level.inside]) for level in above]
@@ -95,7 +95,7 @@ def _keys(level: int, codes: np.ndarray) -> np.ndarray:
 
 
 def _voxels(keys: np.ndarray, masks: np.ndarray) -> int:
-    """The number of voxels of nodes."""
+    """Return the number of voxels of nodes."""
     counts = np.bitwise_count(masks).astype(np.int64)
     return int((counts << (3 * (keys >> np.uint64(LEVEL)).astype(np.int64))).sum())
 
@@ -103,7 +103,7 @@ def _voxels(keys: np.ndarray, masks: np.ndarray) -> int:
 def _textures(
     field: DistanceField, page: Page, arrays: dict[str, np.ndarray]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The arrays of a field that its page unpacks to, and those of the field."""
+    """Return the arrays of a field that its page unpacks to, and those of the field."""
     content = page.content.arrays
     shaped = {name: array.reshape(content[name].shape) for name, array in arrays.items()}
     bounds = None if field.bounds is None else shaped["bounds"]
@@ -115,19 +115,20 @@ def _textures(
 
 
 def _differing(found: np.ndarray, expected: np.ndarray) -> int:
-    """The number of elements that differ; all where there are more of one than of the other."""
+    """Return the number of elements that differ; all where there are more of one than of the
+    other."""
     if found.size != expected.size:
         return max(found.size, expected.size)
     return int(np.count_nonzero(_words(found) != _words(expected)))
 
 
 def _words(array: np.ndarray) -> np.ndarray:
-    """The bits of the elements of an array, which tell -0 from 0."""
+    """Return the bits of the elements of an array, which tell -0 from 0."""
     return np.ascontiguousarray(array).ravel().view(f"<u{array.itemsize}")
 
 
 def voxels_of(page: Page) -> np.ndarray:
-    """The (N, 3) voxels in the bricks of a page, in any order."""
+    """Return the (N, 3) voxels in the bricks of a page, in any order."""
     keys, masks = nodes_of(*unpacked(page))
     brick, bit = np.nonzero(masks[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1))
     within = np.stack([bit >> axis & 1 | bit >> axis + 2 & 2 for axis in range(3)], axis=1)

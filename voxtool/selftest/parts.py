@@ -87,7 +87,7 @@ def meshes_of_labels(device: Device, full: bool) -> int:
 
 
 def labelled(labels: np.ndarray) -> Octree:
-    """The octree of bricks with the labels of a dense array; -1 where no voxel is set."""
+    """Return the octree of bricks with the labels of a dense array; -1 where no voxel is set."""
     octree = replace(Octree.from_dense(labels >= 0, mode="surface26"), mode="solid")
     padded = np.pad(labels, [(0, -n % BRICK_SIDE) for n in labels.shape], constant_values=-1)
     kept = np.flatnonzero(octree.bricks)
@@ -99,7 +99,7 @@ def labelled(labels: np.ndarray) -> Octree:
 
 
 def faces_of_labels(labels: np.ndarray) -> np.ndarray:
-    """The faces of each label's voxels to other labels and to unset voxels."""
+    """Return the faces of each label's voxels to other labels and to unset voxels."""
     around, count = np.pad(labels, 1, constant_values=-1), np.zeros(LABELS, np.int64)
     for axis in range(3):
         for step in (1, -1):
@@ -109,7 +109,7 @@ def faces_of_labels(labels: np.ndarray) -> np.ndarray:
 
 
 def corner_of_cell(points: np.ndarray) -> np.ndarray:
-    """The corner of voxels in the middle of the cell of each point."""
+    """Return the corner of voxels in the middle of the cell of each point."""
     return (points + LATTICE // 2) >> LATTICE_BITS << LATTICE_BITS
 
 

@@ -54,7 +54,7 @@ def reference(
     constant: bool = False,
     most: int = PAIRS,
 ) -> np.ndarray:
-    """(N, 4) float64: the premultiplied RGBA of pixels.
+    """Return (N, 4) float64: the premultiplied RGBA of pixels.
 
     Orthographic rays are whole lines; those in perspective begin at the eye.
 
@@ -89,7 +89,7 @@ def segments(
     constant: bool = False,
     most: int = PAIRS,
 ) -> Iterator[Segments]:
-    """The intervals of the rays of pixels inside cells, one band of the picture at a time."""
+    """Yield the intervals of the rays of pixels inside cells, one band of the picture at a time."""
     x, y = (pixels + 0.5 - np.array(rays.size) / 2).T
     way = rays.direction + rays.perspective * (x[:, None] * rays.right + y[:, None] * rays.down)
     speed = np.sqrt((way * way).sum(axis=1))
@@ -117,8 +117,8 @@ def segments(
 
 
 def planes_of(places: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """(T, 4, 4) float64: normal and offset of the face opposite each vertex, positive inside, not
-    normalised; 0 where a cell has no volume.
+    """Return (T, 4, 4) float64: normal and offset of the face opposite each vertex, positive
+    inside, not normalised; 0 where a cell has no volume.
 
     The corners of a face are taken in the order of their positions, so cells that share it have the
     same numbers except for the sign.
@@ -142,8 +142,8 @@ def planes_of(places: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def projected_boxes(corners: np.ndarray, perspective: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(T, 2) float64 each: least and largest x and y of the rays that may meet cells of (T, 4, 3)
-    corners; inf and -inf for cells that no ray meets."""
+    """Return (T, 2) float64 each: least and largest x and y of the rays that may meet cells of (T,
+    4, 3) corners; inf and -inf for cells that no ray meets."""
     places, depth = corners[:, :, :2], corners[:, :, 2:]
     if not perspective:
         return places.min(axis=1), places.max(axis=1)
@@ -161,7 +161,7 @@ def projected_boxes(corners: np.ndarray, perspective: bool) -> tuple[np.ndarray,
 
 
 def bands(first: np.ndarray, stop: np.ndarray, lines: int, most: int) -> Iterator[tuple[int, int]]:
-    """Ranges of lines with about `most` pairs of a cell and a pixel in each."""
+    """Yield ranges of lines with about `most` pairs of a cell and a pixel in each."""
     across = np.maximum(stop[0] - first[0], 0)
     across[stop[1] <= first[1]] = 0
     change = np.bincount(first[1], across, lines + 1) - np.bincount(stop[1], across, lines + 1)
@@ -178,7 +178,7 @@ def bands(first: np.ndarray, stop: np.ndarray, lines: int, most: int) -> Iterato
 def pairs(
     first: np.ndarray, stop: np.ndarray, top: int, bottom: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cell, column and line of each pair of a cell and a pixel of its box in some lines."""
+    """Return cell, column and line of each pair of a cell and a pixel of its box in some lines."""
     upper, lower = np.maximum(first[1], top), np.minimum(stop[1], bottom)
     across, down = np.maximum(stop[0] - first[0], 0), np.maximum(lower - upper, 0)
     count = across * down
@@ -198,7 +198,8 @@ def clip(
     speed: np.ndarray,
     perspective: bool,
 ) -> Segments:
-    """The interval of the ray in the cell for each pair, (n,) of a cell and a pixel at x and y."""
+    """Return the interval of the ray in the cell for each pair, (n,) of a cell and a pixel at x and
+    y."""
     normal, offset = planes[cell, :, :3], planes[cell, :, 3]
     across = normal[..., 0] * x[:, None] + normal[..., 1] * y[:, None]
     # a face's plane has the value start + t slope along the ray
@@ -228,7 +229,8 @@ def clip(
 
 
 def cut(found: Segments, transfer: TransferFunction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The pieces of segments between control points, in the order of segments and then of depth.
+    """Return the pieces of segments between control points, in the order of segments and then of
+    depth.
 
     Returns the segment of each, (n,) int; at the near and the far end the colours, (n, 2, 3)
     float64, and the optical depth of the whole length at the extinction there, (n, 2) float64.
@@ -256,8 +258,8 @@ def cut(found: Segments, transfer: TransferFunction) -> tuple[np.ndarray, np.nda
 def values_in(
     interval: np.ndarray, lower: np.ndarray, upper: np.ndarray, transfer: TransferFunction
 ) -> np.ndarray:
-    """(n, 2, 4) float64: colour and extinction at two scalars of an interval of the control points:
-    0 is below the first, 1 between the first and the next."""
+    """Return (n, 2, 4) float64: colour and extinction at two scalars of an interval of the control
+    points: 0 is below the first, 1 between the first and the next."""
     points = transfer.scalars
     nodes = np.column_stack([transfer.colours, transfer.extinctions])
     before, after = np.maximum(interval - 1, 0), np.minimum(interval, len(points) - 1)
@@ -271,7 +273,8 @@ def values_in(
 
 
 def weights(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) float64 each: the weights of the colours at the two ends of a piece, to 1e-12 relative.
+    """Return (n,) float64 each: the weights of the colours at the two ends of a piece, to 1e-12
+    relative.
 
     With the optical depth T(s) = a s + (b - a) s²/2 from the near end to s, and R(s) from there to
     the far end: ∫ 1 - exp(-T) ds and ∫ exp(-T) (1 - exp(-R)) ds over 0 to 1, Gauss-Legendre on
@@ -290,7 +293,7 @@ def weights(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nodes_of(halvings: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights of a quadrature over 0 to 1."""
+    """Return points and weights of a quadrature over 0 to 1."""
     points, weights_ = np.polynomial.legendre.leggauss(POINTS)
     graded = 0.5 ** np.arange(halvings, 0, -1.0)
     breaks = np.concatenate([[0], graded, [1]])

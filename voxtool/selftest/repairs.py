@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 CENTRE = np.array([1e3, -2e3, 3e3])
 RADIUS = 1e-4
-EVERY = 4  # one of so many faces is reversed, the next one is missing
+EVERY = 4  # one face in EVERY is reversed, the next one is missing
 
 
 @case("repair", "a ball of 1e-4 at (1e3, -2e3, 3e3), faces missing and reversed: a closed ball",
       "faults", 0)  # fmt: skip
 def soup(device: Device, full: bool) -> int:
-    """Whether the result is closed, free of self-intersections, of one shell without handles, and
-    within a voxel of the ball; and the same of a hollow with two drains, with one handle."""
+    """Repair a ball, solid and then hollow with two drains. The result is one closed shell, free of
+    self-intersections, within a voxel of the ball: without handles, and then with one."""
     vertices, faces = ball(4 if full else 3)
     corners = (CENTRE + RADIUS * vertices)[np.delete(faces, np.s_[1 :: EVERY * 8], axis=0)]
     corners[::EVERY] = corners[::EVERY, ::-1]

@@ -29,20 +29,20 @@ KUHN = np.array([np.cumsum([0, *way]) for way in permutations((1, 2, 4))])
 
 
 def box(low: np.ndarray, high: np.ndarray) -> Shape:
-    """12 outward triangles."""
+    """Return 12 outward triangles."""
     corners = np.array(list(product((0, 1), repeat=3)))
     return np.where(corners == 1, high, low), BOX_FACES
 
 
 def octahedron(centre: np.ndarray, radius: int) -> Shape:
-    """8 outward triangles."""
+    """Return 8 outward triangles."""
     axes = np.eye(3, dtype=np.int64)
     corners = np.stack([axes, -axes], axis=1).reshape(6, 3)
     return np.asarray(centre) + radius * corners, OCTAHEDRON_FACES
 
 
 def subdivide(mesh: Shape) -> Shape:
-    """Every triangle cut into four at the midpoints of its edges (rounded down if whole)."""
+    """Return every triangle cut into four at the midpoints of its edges (rounded down if whole)."""
     vertices, faces = mesh
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
     ends, middle = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
@@ -54,7 +54,7 @@ def subdivide(mesh: Shape) -> Shape:
 
 
 def ball(level: int) -> Shape:
-    """8 * 4**level outward triangles with their vertices on the unit sphere, to 2**-20."""
+    """Return 8 * 4**level outward triangles with their vertices on the unit sphere, to 2**-20."""
     vertices, faces = octahedron(np.zeros(3), 1)
     for _ in range(level):
         vertices, faces = subdivide((vertices, faces))
@@ -63,21 +63,22 @@ def ball(level: int) -> Shape:
 
 
 def join(*parts: Shape) -> Shape:
-    """Several meshes as one; nothing is welded."""
+    """Return several meshes as one; nothing is welded."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
 def rays_along(axis: int, origin: np.ndarray, step: float, size: int, sign: int = -1) -> Rays:
-    """size x size parallel rays along an axis, `step` apart along the next two axes."""
+    """Return size x size parallel rays along an axis, `step` apart along the next two axes."""
     direction, right, down = np.zeros((3, 3))
     direction[axis], right[axis - 2], down[axis - 1] = sign, step, step
     return Rays(origin, direction, right, down, False, (size, size))
 
 
 def tetrahedra(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Shape:
-    """Points (P, 3), cells (T, 4): the boxes between planes across each axis, cut in six each."""
+    """Return points (P, 3), cells (T, 4): the boxes between planes across each axis, cut in six
+    each."""
     points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
     shape = len(x), len(y), len(z)
     numbers = np.arange(len(points)).reshape(shape)

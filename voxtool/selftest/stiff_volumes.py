@@ -181,7 +181,7 @@ def colours(random: np.random.Generator, count: int) -> np.ndarray:
 
 
 def layers(random: np.random.Generator) -> StiffScene:
-    """One to three layers, 1e-12 to 1e-2 thick, of an optical depth of 1 or so each."""
+    """Return one to three layers, 1e-12 to 1e-2 thick, of an optical depth of 1 or so each."""
     z, count = thick(random, 0), int(random.integers(1, 4))
     at = np.sort(random.choice(np.arange(4, GRID - 4), count, replace=False)) / GRID
     thin = 10.0 ** random.uniform(-12, -2)
@@ -203,7 +203,7 @@ def layers(random: np.random.Generator) -> StiffScene:
 
 
 def spikes(random: np.random.Generator) -> StiffScene:
-    """One to three spikes of a transfer function, 1e-15 to 1e-2 of the range wide."""
+    """Return one to three spikes of a transfer function, 1e-15 to 1e-2 of the range wide."""
     z = thick(random, 2)
     scalars = np.linspace(0, 1, len(z)) if random.random() < 0.5 else np.linspace(1, 0, len(z))
     scalars = np.rint(scalars * GRID) / GRID
@@ -219,7 +219,7 @@ def spikes(random: np.random.Generator) -> StiffScene:
 
 
 def extreme(random: np.random.Generator) -> StiffScene:
-    """Extinctions of 1e2 to 1e13."""
+    """Return extinctions of 1e2 to 1e13."""
     z = thick(random, 2)
     scalars = np.rint(np.linspace(0, 1, len(z)) * GRID) / GRID
     points = np.sort(random.choice(np.arange(1, GRID), 4, replace=False)) / GRID
@@ -229,7 +229,7 @@ def extreme(random: np.random.Generator) -> StiffScene:
 
 
 def eyes(random: np.random.Generator) -> StiffScene:
-    """An eye in one, two or three planes of faces, which looks along an axis or anywhere."""
+    """Return an eye in one, two or three planes of faces, which looks along an axis or anywhere."""
     planes = thick(random), thick(random), thick(random)
     eye = random.uniform(0.1, 0.9, 3)
     for axis in random.choice(3, int(random.integers(1, 4)), replace=False):
@@ -246,7 +246,7 @@ def eyes(random: np.random.Generator) -> StiffScene:
 
 
 def needles(random: np.random.Generator) -> StiffScene:
-    """Cells 1e-7 to 1e-3 thick across two axes."""
+    """Return cells 1e-7 to 1e-3 thick across two axes."""
     planes = []
     for _ in range(2):
         at = random.choice(np.arange(8, GRID - 8)) / GRID

@@ -39,8 +39,8 @@ class Thin:
     pieces: list[np.ndarray]
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """(N,) the signed distances of (N, 3) points, in numpy: least distances to all triangles,
-        negative within an odd number of pieces."""
+        """Return the signed distances, (N,), of (N, 3) points, in numpy: least distances to all
+        triangles, negative within an odd number of pieces."""
         triangles, found = np.concatenate(self.pieces), np.empty(len(points))
         step = max(PAIRS // len(triangles), 1)
         for first in range(0, len(points), step):
@@ -53,7 +53,7 @@ class Thin:
         return found
 
     def points(self, random: np.random.Generator, count: int) -> np.ndarray:
-        """(count, 3) points at 1e-6 to 0.1 extents from triangles."""
+        """Return (count, 3) points at 1e-6 to 0.1 extents from triangles."""
         extent, triangles = (
             float(np.ptp(self.mesh.bounds, axis=0).max()),
             np.concatenate(self.pieces),
@@ -65,15 +65,15 @@ class Thin:
 
 
 def _within(points: np.ndarray, piece: np.ndarray) -> np.ndarray:
-    """(N,) whether points are within a convex piece."""
+    """Return whether each point is within a convex piece, (N,)."""
     normals = cross(piece[:, 1] - piece[:, 0], piece[:, 2] - piece[:, 0])
     heights = points @ normals.T - (normals * piece[:, 0]).sum(axis=1)
     return (heights < 0).all(axis=1)
 
 
 def _squares(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N,) the squared distances of points to the nearest of (F, 3, 3) triangles: to the plane
-    where the foot is over the triangle, and to the edges."""
+    """Return the squared distances, (N,), of points to the nearest of (F, 3, 3) triangles: to the
+    plane where the foot is over the triangle, and to the edges."""
     best = np.full(len(points), np.inf)
     for a, b, c in triangles:
         n = np.cross(b - a, c - a)
@@ -90,7 +90,7 @@ def _squares(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def prism(outline: np.ndarray, height: float) -> shapes.Shape:
-    """The outward triangles between a convex (n, 2) outline, counter-clockwise, at z = 0 and
+    """Return the outward triangles between a convex (n, 2) outline, counter-clockwise, at z = 0 and
     another at z = height."""
     n = len(outline)
     ends = [np.column_stack([outline, np.full(n, z)]) for z in (0.0, height)]
@@ -106,7 +106,7 @@ def prism(outline: np.ndarray, height: float) -> shapes.Shape:
 
 
 def turn(random: np.random.Generator) -> np.ndarray:
-    """A rotation at random, (3, 3)."""
+    """Return a rotation at random, (3, 3)."""
     q = random.normal(size=4)
     w, x, y, z = q / np.sqrt((q * q).sum())
     return np.array(
@@ -119,7 +119,7 @@ def turn(random: np.random.Generator) -> np.ndarray:
 
 
 def _shape(kind: str, random: np.random.Generator) -> list[shapes.Shape]:
-    """The outward pieces of a scene about one unit long."""
+    """Return the outward pieces of a scene about one unit long."""
 
     def thin(low: float, high: float) -> float:
         return 10.0 ** -random.uniform(low, high)
@@ -148,7 +148,7 @@ def _shape(kind: str, random: np.random.Generator) -> list[shapes.Shape]:
 
 
 def scene(random: np.random.Generator, kind: str = "") -> Thin:
-    """A thin scene at random, of a kind."""
+    """Return a thin scene of a kind, at random."""
     kind = kind or KINDS[random.integers(len(KINDS))]
     size, turned = 10.0 ** random.uniform(-DECADES, DECADES), turn(random)
     offset, pieces, outward = size * random.normal(size=3), [], []
@@ -161,7 +161,7 @@ def scene(random: np.random.Generator, kind: str = "") -> Thin:
 
 
 def build(random: np.random.Generator, thin: Thin, device: Device, **request: Any) -> DistanceField:
-    """A field of a scene, whose tolerance is of the size of its smallest leaves."""
+    """Return a field of a scene, whose tolerance is of the size of its smallest leaves."""
     level = int(random.integers(5, 9))
     tolerance = 2.0**-level * 10 ** random.uniform(-0.3, 0.7)
     wanted = {"tolerance": tolerance, "max_level": level, "measure": False, **request}
@@ -171,9 +171,9 @@ def build(random: np.random.Generator, thin: Thin, device: Device, **request: An
 def over_bound(
     random: np.random.Generator, field: DistanceField, thin: Thin, count: int, device: Device
 ) -> tuple[int, float]:
-    """The number of points where a field is farther from the distance than the bound of its leaf,
-    and the largest error, in bounds: at `count` points in the cube and near triangles, then near
-    the worst of these. Leaves without a bound have none to exceed."""
+    """Return the number of points where a field is farther from the distance than the bound of its
+    leaf, and the largest error, in bounds: at `count` points in the cube and near triangles, then
+    near the worst of these. Leaves without a bound have none to exceed."""
     spread = np.array(field.origin) + field.side * random.random((count // 4, 3))
     points = np.concatenate([spread, thin.points(random, count - len(spread))])
     over, worst = 0, 0.0

@@ -37,7 +37,8 @@ GREY = TransferFunction([0.0], [[0.5, 0.5, 0.5]], [0.7])  # pyright: ignore[repo
 
 
 def weights(device: Device, a: np.ndarray, b: np.ndarray, lanes: int | None = None) -> np.ndarray:
-    """(3, N) float64 of float32: w_f, w_b and zeta of segments, as rays of this device have."""
+    """Return (3, N) float64 of float32: w_f, w_b and zeta of segments, as rays of this device
+    have."""
     lanes = lanes or device.lanes
     count = len(a)
     padded = -(-count // (GROUP * lanes)) * GROUP * lanes
@@ -49,7 +50,7 @@ def weights(device: Device, a: np.ndarray, b: np.ndarray, lanes: int | None = No
 
 
 def weight_error(device: Device, a: np.ndarray, b: np.ndarray) -> float:
-    """The largest relative error of weights and of transmittances."""
+    """Return the largest relative error of weights and of transmittances."""
     found = weights(device, a, b)
     front, back = a.astype(np.float64), b.astype(np.float64)
     through = np.exp(-(front + back) / 2)
@@ -85,7 +86,8 @@ def ends(device: Device, full: bool) -> float:
 
 
 def wavy_block(seed: int, cubes: int = 4) -> UnstructuredMesh:
-    """Cubes cut in six each, with moved corners and a scalar that bends; in [-1, 1] or so."""
+    """Return cubes cut in six each, with moved corners and a scalar that bends; in [-1, 1] or
+    so."""
     points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, cubes + 1)] * 3)
     points = points + np.random.default_rng(seed).uniform(-0.4, 0.4, points.shape) / cubes
     x, y, z = points.T
@@ -95,8 +97,8 @@ def wavy_block(seed: int, cubes: int = 4) -> UnstructuredMesh:
 def picture_error(
     device: Device, mesh: UnstructuredMesh, transfer: TransferFunction, full: bool
 ) -> float:
-    """The largest error of a colour in pictures by both methods, beyond the change when all scalars
-    move by ROUNDED of their range, which shows if a ray runs along a step."""
+    """Return the largest error of a colour in pictures by both methods, beyond the change when all
+    scalars move by ROUNDED of their range, which shows if a ray runs along a step."""
     points, cells, scalars = mesh.points, mesh.cells[0][1], np.asarray(mesh.scalars)
     moved = ROUNDED * np.ptp(scalars)
     volume, error = build_tet(mesh, device=device), 0.0
@@ -119,7 +121,8 @@ def picture_error(
 
 
 def wavy_error(device: Device, full: bool, seed: int, at: list, extinctions: list) -> float:
-    """The largest error of pictures of wavy blocks, with random colours at the control points."""
+    """Return the largest error of pictures of wavy blocks, with random colours at the control
+    points."""
     colours = np.random.default_rng(seed).random((len(at), 3))
     transfer = TransferFunction(np.array(at), colours, np.array(extinctions))
     blocks = map(wavy_block, range(5 if full else 1))
@@ -140,12 +143,12 @@ def steps(device: Device, full: bool) -> float:
 
 
 def layers(thin: float) -> np.ndarray:
-    """Planes from -1 to 1, two pairs of which are so near each other."""
+    """Return planes from -1 to 1, two pairs of which are so near each other."""
     return np.cumsum([-1, 0.7, thin, 0.6, thin, 0.7])
 
 
 def sheared(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> UnstructuredMesh:
-    """The boxes between planes across each axis, cut in six each and sheared."""
+    """Return the boxes between planes across each axis, cut in six each and sheared."""
     points, cells = shapes.tetrahedra(x, y, z)
     x, y, z = points.T
     moved = np.stack([x + 0.15 * z, y + 0.1 * x, z + 0.2 * y], axis=1)
@@ -184,8 +187,8 @@ def edges(device: Device, full: bool) -> float:
 
 
 def isosurface_error(device: Device, mesh: UnstructuredMesh, values: list[float]) -> float:
-    """The largest error of a colour in pictures of isosurfaces by both methods; where the hits of a
-    ray change when all scalars move by ROUNDED of their range, any of these is right."""
+    """Return the largest error of a colour in pictures of isosurfaces by both methods; where the
+    hits of a ray change when all scalars move by ROUNDED of their range, any of these is right."""
     points, cells, scalars = mesh.points, mesh.cells[0][1], np.asarray(mesh.scalars)
     moved, error = ROUNDED * np.ptp(scalars), 0.0
     volume, tint = build_tet(mesh, device=device), (1.0, 0.5, 0.25, 0.5)

@@ -39,24 +39,24 @@ SCALES = ((1e12, 0.0), (1e-12, 0.0), (1.0, 1e8), (-1.0, -1e8))  # factor, and th
 
 
 def lattice_mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    """A mesh of vertices in 1/256 voxel."""
+    """Return a mesh of vertices in 1/256 voxel."""
     return mesh_from_arrays(np.asarray(vertices, np.float64) / UNIT, faces)
 
 
 def lattice_grid(x: int, y: int, z: int) -> Grid:
-    """A grid whose voxels are the world's units."""
+    """Return a grid whose voxels are the world's units."""
     return Grid((x, y, z), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 def set_voxels(device: Device, mesh: Mesh, grid: Grid, mode: str, **options: Any) -> Octree:
-    """The octree, solids by parity; raises FileError if its structure is invalid."""
+    """Return the octree, solids by parity; raises FileError if its structure is invalid."""
     octree = voxelize(mesh, grid, mode, device=device, **{"fill": "parity", **options})
     octree.validate()
     return octree
 
 
 def wrong(octree: Octree, expected: Iterable[Sequence[int]]) -> int:
-    """The number of voxels whose state differs from the expected one."""
+    """Return the number of voxels whose state differs from the expected one."""
     return len({tuple(cell) for cell in octree.occupied().tolist()} ^ set(map(tuple, expected)))
 
 
@@ -67,9 +67,9 @@ def wrong_by_oracles(
     triangles: np.ndarray,
     window: tuple[list[int], list[int]] | None = None,
 ) -> int:
-    """The number of voxels that differ from the oracles in any mode.
+    """Return the number of voxels that differ from the oracles in any mode.
 
-    triangles : of the mesh, in 1/256 voxel from the grid's or the window's low corner.
+    triangles : those of the mesh, in 1/256 voxel from the low corner of the grid or the window.
     """
     shape = window[1] if window else grid.shape
     return sum(
@@ -79,7 +79,8 @@ def wrong_by_oracles(
 
 
 def wrong_on_lattice(device: Device, vertices: np.ndarray, faces: np.ndarray) -> int:
-    """The same for a mesh of vertices in 1/256 voxel, in a small grid."""
+    """Return the number of voxels that differ from the oracles, for a mesh of vertices in 1/256
+    voxel in a small grid."""
     mesh = lattice_mesh(vertices, faces)
     return wrong_by_oracles(device, mesh, lattice_grid(*SMALL), vertices[faces])
 
@@ -166,7 +167,7 @@ def coordinates(device: Device, full: bool) -> int:
 
 
 def _on_lattice(grid: Grid, point: list[float]) -> list[int]:
-    """round(256 (p - origin) / pitch), ties to even."""
+    """Return round(256 (p - origin) / pitch), ties to even."""
     return [
         round(UNIT * (Fraction(p) - Fraction(o)) / Fraction(pitch))
         for p, o, pitch in zip(point, grid.origin, grid.pitch, strict=True)
@@ -259,8 +260,8 @@ def dims(device: Device, full: bool) -> int:
 
 
 def _octahedron(dim: int) -> tuple[np.ndarray, int]:
-    """Centre and radius in 1/256 voxel: no voxel's centre is on it, as sums of three odd numbers
-    are odd."""
+    """Return centre and radius in 1/256 voxel: no voxel's centre is on it, as sums of three odd
+    numbers are odd."""
     return UNIT * (dim // 2) + np.array([37, 59, 101]), UNIT * (dim // 2 - 1)
 
 
@@ -270,13 +271,14 @@ def _solid_octahedron(device: Device, dim: int, centre: np.ndarray, radius: int)
 
 
 def _away(dim: int, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(dim,) int64 each: distances of voxel centres from an octahedron's centre along each axis."""
+    """Return (dim,) int64 each: distances of voxel centres from an octahedron's centre along each
+    axis."""
     x, y, z = (np.abs(UNIT * np.arange(dim) + UNIT // 2 - c) for c in centre.tolist())
     return x, y, z
 
 
 def _within(dim: int, centre: np.ndarray, radius: int) -> np.ndarray:
-    """(dim, dim, dim) bool: the voxels whose centre is in an octahedron."""
+    """Return (dim, dim, dim) bool: the voxels whose centre is in an octahedron."""
     x, y, z = _away(dim, centre)
     return x[:, None, None] + y[:, None] + z < radius
 

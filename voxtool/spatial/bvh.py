@@ -32,7 +32,7 @@ ARITY = 8  # children of a node: the width of the kernels' vectors of boxes
 LEAF = 4  # triangles of a leaf: the width of the kernels' vectors of triangles
 FIELDS = 15  # numbers of a triangle, as in kernels/spatial/point_triangle.h
 MAX_LEVELS = 10  # of nodes: ARITY**10 * LEAF exceeds int32
-FACE_BITS = 21  # of the Hilbert curve along an axis, for triangles
+FACE_BITS = 21  # bits of the Hilbert curve along an axis, for triangles
 POINT_BITS = 10  # and for points
 MARGIN_BITS = 20  # a box in single precision is 2**-20 wider than its content
 NAMELESS = 0xFFFFFFFF  # the name of a face without area
@@ -93,7 +93,7 @@ class TriangleTree:
     nodes : float32, for each node low x, y, z and high x, y, z of its ARITY children;
     leaves : float64, for each leaf FIELDS of its LEAF triangles (see frame_triangles);
     face_of : uint32, the face of each slot;
-    count : of triangles;
+    count : number of triangles;
     names : uint32, for each slot three times the face plus the corner that comes first there,
         NAMELESS for faces without area; None if not asked for.
     """

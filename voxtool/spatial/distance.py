@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 SOURCE, PACKETS = "spatial/distance.cl", "spatial/nearest_packets.cl"
 POINTS_AT_ONCE = 1 << 20  # on the device: the more there are, the nearer is the next
-POINT_BYTES = 48  # of a point on the device: position, order, codes, distance
+POINT_BYTES = 48  # bytes of a point on the device: position, order, codes, distance
 SORTED_FROM = 1 << 9  # points: fewer are not sorted
 NEAR = 8.0  # extents within which single precision bounds distances to boxes; see MARGIN_BITS
 POINTS = VECTOR  # of a packet, which are near each other and share a traversal
@@ -165,7 +165,7 @@ class TriangleDistance:
         return Nearest(*made)
 
     def blocks(self, world: np.ndarray) -> Iterator[PointBlock]:
-        """The points on the device, block by block; raises VoxtoolError as the call."""
+        """Return the points on the device, block by block; raises VoxtoolError as the call."""
         return point_blocks(self.device, self.tree, world, self.block, self.near)
 
     def at_block(self, block: PointBlock, located: bool = False) -> Nearest:
@@ -199,7 +199,7 @@ class TriangleDistance:
 
     def nearest_faces(self, points: np.ndarray, grains: float) -> tuple[np.ndarray, np.ndarray]:
         """Return for (N, 3) points the nearest faces, (N,) int64, and the squares of their
-        distances in grains, (N,) float64 whole numbers; of faces with equal ones the first.
+        distances in grains, (N,) float64 whole numbers. The first of equally near faces counts.
 
         `grains` is the number of grains in a square of a unit of the world, a power of two.
         """

@@ -59,7 +59,7 @@ class Fan:
     rim : float64, in leaves of LEAF faces: x, y, z of the start of each side opposite to the apex,
         and of the way to its end; or of the corner opposite to the edge, and the sign of the face,
         0, 0. The last leaf has ways or signs of 0.
-    count : of faces.
+    count : number of faces.
     bundles : float64, SUMS of each bundle, level by level, from those of BUNDLE faces on.
     """
 

@@ -47,7 +47,7 @@ class Inside:
         Whether pseudo-normals are certain: the mesh is closed, nothing intersects, all faces have
         an area, and winding numbers are 0 and 1.
     meeting : (F,) uint8 or None
-        Of find_self_intersections, with 1 for copies of faces; None if it was not needed.
+        As find_self_intersections returns it, with 1 for copies of faces; None if not needed.
     united : (F,) bool or None
         Faces of parts that overlap, contain one another alike, or repeat others; None if none do.
     parts, turned : int
@@ -104,7 +104,7 @@ def turn(mesh: Mesh, faces: np.ndarray) -> Mesh:
 
 
 def inside_as_wound(mesh: Mesh, device: Device) -> Inside:
-    """Return what is inside of a mesh: of an open one by winding numbers, as its faces are."""
+    """Return what is inside of a mesh; an open one is decided by winding numbers."""
     return inside_of_closed(mesh, device) or Inside(None, "winding")
 
 

@@ -56,8 +56,8 @@ ERROR = 2.0**-42  # more than (430 + 9 (ROUNDS + 2)) 2^-53
 NEARLY = 2.0**-6  # of a reach: what is nearer to it may be taken for beyond
 PIECES = 1 << 21  # left after a round, at most; those nearest to the other mesh are given up
 PIECES_AT_ONCE = 1 << 18  # cut on the device
-PIECE_BYTES = 448  # of a piece on the host, with what two parts of it take
-PART_BYTES = 256  # of a piece on the device
+PIECE_BYTES = 448  # bytes of a piece on the host, with what two parts of it take
+PART_BYTES = 256  # bytes of a piece on the device
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,8 +315,9 @@ def _nearest(to: TriangleDistance, points: np.ndarray) -> tuple[np.ndarray, np.n
 def _cut(
     to: TriangleDistance, pieces: np.ndarray, slots: np.ndarray, reach: float, slack: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return what is left of (n, 3, 3) pieces; of each piece the number of these, upper bounds of
-    its distances; and one of the distances of the rest."""
+    """Return what is left of (n, 3, 3) pieces when the parts within reach are cut away, the number
+    of triangles left of each piece, upper bounds of the distances of each piece, and an upper bound
+    of the distances of all that was cut away."""
     device, covered = to.device, 0.0
     left: list[np.ndarray] = []
     numbers: list[np.ndarray] = []

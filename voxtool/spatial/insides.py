@@ -3,7 +3,7 @@
 A ball about a point that reaches to the nearest face holds no face, so that the winding number
 changes in it with the boundary's shape alone (boundary.py). Points in the ball are therefore on the
 side of its centre where the number there is far enough from 1/2. Points along a Hilbert curve are
-taken in groups, large ones first: of each group the number is computed at the point that is
+taken in groups, large ones first: for each group the number is computed at the point that is
 farthest from the mesh, and decides others; the last groups have one point. Provided that numbers
 are off by less than 2^-7, the sides are those of the numbers of all points. About the bunny, 46,000
 of a million random points need a number.
@@ -39,7 +39,7 @@ def insides(
 ) -> np.ndarray:
     """Return which points of a block have a winding number above 1/2, (n,) bool; False on the mesh.
 
-    spheres : of boundary_spheres; distances : (n,) float64, to the mesh, in local coordinates.
+    spheres : from boundary_spheres; distances : (n,) float64, to the mesh, in local coordinates.
     """
     device, n = winding.device, block.n
     places, gaps = device.empty(3 * n, np.float64), device.empty(n, np.float64)

@@ -34,8 +34,8 @@ FEW = 1 << 16  # products of faces and points up to which winding numbers are su
 class Nesting:
     """A tree of shells.
 
-    parents : (S,) int64: an innermost shell that contains each, or -1; of two that intersect each
-        other, one.
+    parents : (S,) int64: an innermost shell that contains each, or -1; one of two if they intersect
+        each other.
     depths : (S,) int64: how many are around each: its parent, the parent's parent and so on.
     roots : (S,) int64: the outermost shell around each, or the shell itself.
     """

@@ -25,7 +25,7 @@ from voxtool.vector import cross, dot, length
 
 LINES = 1 << 15  # through all sheets
 LEAST, MOST = 4, 1024  # through a sheet
-DECISIVE = 16  # one vote of so many lines, more for one side than for the other, decides
+DECISIVE = 16  # one vote in DECISIVE lines, more for one side than for the other, decides
 GRAZING = 1 / 16  # lines at a smaller angle to their face, by its sine, do not count
 
 

@@ -73,7 +73,7 @@ class Pseudonormals:
 
 
 def normal_bytes(faces: int) -> int:
-    """Bytes of the pseudo-normals of a closed mesh of this many faces on the device."""
+    """Return the bytes of the pseudo-normals of a closed mesh of this many faces on the device."""
     return faces * (7 * 4 + 3 * 24)
 
 
@@ -128,7 +128,8 @@ def pseudonormals(mesh: Mesh, faces: FaceNormals | None = None) -> Pseudonormals
 
 
 def _sums(feature: np.ndarray, weights: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The weighted sums of the normals of the faces at each feature, in the order of the faces."""
+    """Return the weighted sums of the normals of the faces at each feature, in the order of the
+    faces."""
     numbers = feature.ravel()
     return np.stack(
         [np.bincount(numbers, (weights * normals[:, axis, None]).ravel()) for axis in range(3)],
@@ -137,7 +138,7 @@ def _sums(feature: np.ndarray, weights: np.ndarray, normals: np.ndarray) -> np.n
 
 
 def _normals_and_angles(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(F, 3) unit normals, 0 where there is none, and (F, 3) angles at the corners."""
+    """Return (F, 3) unit normals, 0 where there is none, and (F, 3) angles at the corners."""
     a, b, c = (triangles[:, i].T for i in range(3))
     u, v, w = (difference(*ends) for ends in ((b, a), (c, a), (c, b)))
     n = np.stack([sum(cross_component(u, v, i, (i + 1) % 3)) for i in (1, 2, 0)])

@@ -38,7 +38,7 @@ class Sides:
         a non-manifold edge, is intersected (self_intersections.py), or folds back onto another, so
         that it is not 1 more.
     spheres : (S, 5) float64, of boundary_spheres.
-    arguments : of kernels, by name: the numbers, and a bit for each face whose number is wanted.
+    arguments : the kernels', by name: the numbers, and a bit for each face whose number is wanted.
     """
 
     def __init__(

@@ -73,7 +73,8 @@ class WindingNumber:
             self.moments = self._sum_moments()
 
     def _sum_moments(self) -> Array:
-        """The moments of the leaves, then of the nodes, level by level up; children in order."""
+        """Return the moments of the leaves, then of the nodes, level by level up; children in
+        order."""
         device, tree = self.device, self.tree
         parts = tree.parts()
         first, count = parts[-1]

@@ -23,7 +23,7 @@ from voxtool.svo.image import CHUNK, EVERY, LAYERS, UNIFORM, VoxelImage
 from voxtool.svo.slabs import THICK, Blocks, Filled, Order, slabs_of
 
 POWER = THICK.bit_length() - 1
-TALLY_BYTES = 100  # of a brick, of sums and values
+TALLY_BYTES = 100  # bytes of a brick, of sums and values
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class AttributeImage:
 
     @property
     def dtype(self) -> np.dtype:
-        """Type of the values: of labels the smallest unsigned one that holds them."""
+        """Type of the values: the smallest unsigned one that holds them for labels."""
         attribute = self.attribute
         if self.name == "label":
             return np.dtype(np.min_scalar_type(max(len(attribute.names), 1)))
@@ -136,8 +136,8 @@ class AttributeImage:
 
     @property
     def own_bytes(self) -> int:
-        """A bound of the memory of the octree's values, of layers of them and of those of nodes; of
-        parts it counts with the octree's."""
+        """A bound of the memory of the octree's values, of layers of them and of those of nodes; 0
+        for an image in parts, where it counts with the octree's."""
         if self.image.in_parts:
             return 0
         values, level = self.attribute.nbytes, self.level
@@ -229,7 +229,7 @@ class AttributeImage:
             )
 
     def parts(self, axis: int = 0, least: int = THICK) -> Iterator[AttributeImage]:
-        """Yield the same of the parts of the image, of which no other attributes are read."""
+        """Yield the attribute of each part of the image; other attributes are not read."""
         for part in replace(self.image, attributes=(self.name,)).parts(axis, least):
             yield replace(self, image=part)
 
@@ -282,7 +282,7 @@ def tally_bytes(level: int, bricks: int) -> int:
 def listed_with(
     image: VoxelImage, names: Sequence[str]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, list[np.ndarray]]]:
-    """Yield what `image.listed()` does, with the values of attributes of the same cells."""
+    """Yield the pieces of `image.listed()`, each with the values of attributes of its cells."""
     for part in image.parts():
         more = [AttributeImage(part, name).listed() for name in names]
         for (cells, values), *others in zip(part.listed(), *more, strict=True):

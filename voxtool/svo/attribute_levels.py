@@ -43,7 +43,7 @@ class CellValues:
     size : int
         A cell has 2**size voxels a side.
     whole : Attribute, optional
-        Of a part of an octree: the attribute of all of it, by which units of sums are chosen.
+        For a part of an octree, the attribute of all of it, by which units of sums are chosen.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class CellValues:
 
     @property
     def _leaves_are_own(self) -> bool:
-        """Whether inside leaves have values of their own, not the default."""
+        """True if inside leaves have values of their own, not the default."""
         return len(self.attribute.leaves) > 0 or self.attribute.masks is None
 
     def of_bricks(self, places: Any) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from voxtool.svo.attribute_levels import CellValues
 from voxtool.svo.attributes import BRICKS
 
-BRICK_BITS = np.uint64(6)  # of a voxel's code, within its brick
+BRICK_BITS = np.uint64(6)  # bits of a voxel's code, within its brick
 
 
 def values_of_voxels(values: CellValues, codes: np.ndarray) -> np.ndarray:

@@ -69,17 +69,17 @@ class Attribute(Data):
     name : str
         One of KINDS.
     values : (V,) or (V, channels)
-        Of the voxels that have one, brick by brick, in the order of the bits; these and the masks
-        may be Slices of a file, which are read in blocks.
+        Values of the voxels that have one, brick by brick, in the order of the bits; these and the
+        masks may be Slices of a file, which are read in blocks.
     leaves : (L,) or (L, channels), of the same dtype
-        Of the inside leaves above level 0, in the order of the nodes; L is 0 if all of them have
-        the default.
+        Values of the inside leaves above level 0, in the order of the nodes; L is 0 if all of them
+        have the default.
     masks : (M,) uint64, optional
         Which voxels of each brick have a value; None if all set ones have.
     default : number or tuple of numbers
         Value of the other set voxels.
     names : tuple of str
-        Of labels: what each is.
+        The name of each label.
 
     Raises
     ------
@@ -166,7 +166,7 @@ class Attribute(Data):
         return replace(self, values=self.values[:], masks=masks)
 
     def summary(self) -> dict[str, Any]:
-        """Return the type, sizes and names in JSON types; of areas also their sum."""
+        """Return the type, sizes and names in JSON types, and the sum of areas."""
         sizes = {"values": len(self.values), "leaves": len(self.leaves)}
         sizes["memory_bytes"] = self.nbytes
         more = {"sum": float(self.total)} if self.name == "area" else {}

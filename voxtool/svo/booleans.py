@@ -165,8 +165,11 @@ def plan_combine(
 def plan_of(
     sizes: Sequence[np.ndarray], lows: np.ndarray, grid: Grid, operation: str
 ) -> CombinePlan:
-    """Return the plan for octrees with so many refined nodes by level, from level 1 up, whose low
-    corners are at these voxels of the grid of the result."""
+    """Return the plan for octrees.
+
+    sizes : the numbers of refined nodes of each octree, by level from level 1 up; lows : its low
+    corner in the grid of the result, in voxels.
+    """
     refined = np.zeros((grid.side // BRICK_SIDE).bit_length() - 1, np.int64)
     for own, low in zip(sizes, lows, strict=True):
         own = own[: len(refined)]

@@ -134,8 +134,8 @@ class Cells:
         return self._octree(along, levels, links[-1])
 
     def cut_of_whole(self, low: np.ndarray, high: np.ndarray, most: float = math.inf) -> Cut:
-        """Return the same of the whole octree, which is one cell and not merged, with the places
-        of what it is made of."""
+        """Return the cut of the whole octree, which is one cell and not merged, with the places
+        of its parts."""
         levels, links = self._cut(np.zeros(3, np.int64), 1, low, high, most)
         places = [np.zeros(1, np.int64)]
         for start, own in zip(self.octree.offsets[1:].astype(np.int64), links[:-1], strict=False):

@@ -18,7 +18,7 @@ from voxtool.svo.merge import CHILDREN, SUBTREE, Subtrees
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree, in_memory, level_number
 
-NODE_BYTES = 64  # of states, codes, counts and words, a node
+NODE_BYTES = 64  # bytes of states, codes, counts and words, a node
 
 
 def fitting_octree(
@@ -83,8 +83,8 @@ def _words_of(counts: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _first_of(counts: np.ndarray, side: int) -> np.ndarray:
-    """Return the words of the children of nodes of `side` voxels, the first ones of which are set,
-    so many of each, (n, 8) uint32."""
+    """Return the words of the children of nodes of `side` voxels, whose first voxels are set, as
+    many as `counts` says of each, (n, 8) uint32."""
     volume = np.int64(side // 2) ** 3
     full, rest = counts // volume, counts % volume
     rows = np.where(np.arange(CHILDREN) < full[:, None], FULL, EMPTY).astype(np.uint32)

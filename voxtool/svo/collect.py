@@ -21,7 +21,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS, octree_of_bricks
 
 APART = 1 << 22  # bricks that are kept before they are united
-BRICK_BYTES = 384  # while the octree is made: of a brick that is alone among its siblings
+BRICK_BYTES = 384  # while the octree is made: a brick that is alone among its siblings
 OCTANTS = np.indices((2, 2, 2)).reshape(3, -1).T
 
 

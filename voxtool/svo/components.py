@@ -297,7 +297,7 @@ class ComponentsJob(Job[Octree]):
     plan : ComponentsPlan
         The decisions.
     sizes : (n,) int64
-        The voxels of each component, the largest first: of the octree, once the job has run; empty
+        The voxels of each component of the octree, the largest first, once the job has run; empty
         where cavities are filled.
     """
 

@@ -197,7 +197,7 @@ class OctreeContent:
 
     @property
     def volume(self) -> float:
-        """The volume of the set voxels, in cubic world units; of fractions that of their sum."""
+        """The volume of the set voxels, or the sum of their fractions, in cubic world units."""
         return self.count * self.grid.voxel_volume
 
     @property
@@ -254,7 +254,7 @@ class AttributedContent(OctreeContent):
 
     @property
     def volume(self) -> float:
-        """The volume of the set voxels, in cubic world units; of fractions that of their sum."""
+        """The volume of the set voxels, or the sum of their fractions, in cubic world units."""
         if all(one.name != "fraction" for one in self.attributes):
             return super().volume
         from voxtool.svo.stored_volume import stored_volume  # which imports this module
@@ -262,8 +262,8 @@ class AttributedContent(OctreeContent):
         return stored_volume(self) * self.grid.voxel_volume
 
     def summary(self) -> dict[str, Any]:
-        """Return counts and sizes in JSON types, in world units; of labels also the voxels and the
-        volume of each; of fractions the volume is their sum. See OctreeContent."""
+        """Return counts and sizes in JSON types, in world units, with the voxels and the volume of
+        each label. The volume is the sum of fractions, if there are any. See OctreeContent."""
         info, cell = super().summary(), self.grid.voxel_volume
         if "label" in info["attributes"]:
             from voxtool.svo.label_counts import label_counts  # which imports this module

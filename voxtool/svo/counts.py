@@ -1,4 +1,4 @@
-"""Counts of set voxels: of the nodes of an octree, and of the cells in a node."""
+"""Counts of set voxels in the nodes of an octree, and in the cells of a node."""
 
 from __future__ import annotations
 
@@ -78,14 +78,14 @@ class Counts:
 
 
 def counts_of(octree: OctreeContent, size: int) -> Counts:
-    """Return the counts of an octree's cells; of cells that are nodes above the bricks, it need not
-    be in memory."""
+    """Return the counts of an octree's cells. The octree need not be in memory if they are nodes
+    above the bricks."""
     return Counts(octree, size) if isinstance(octree, Octree) else NodeCounts(octree, size)
 
 
 class NodeCounts(Counts):
-    """The same of cells that are nodes above the bricks, of an octree that need not be in memory:
-    only the levels from the cells up are. Those below have no nodes here."""
+    """Counts of set voxels in cells that are nodes above the bricks. The octree need not be in
+    memory: only the levels from the cells up are, and those below have no nodes here."""
 
     def __init__(self, octree: OctreeContent, size: int) -> None:
         self._of(size)

@@ -29,7 +29,7 @@ from voxtool.svo.merged import MergedOctree, states_in
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS
 
-WORD_BYTES = 4  # of a node that is drawn
+WORD_BYTES = 4  # bytes of a node that is drawn
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ def linked_nodes(octree: Octree | MergedOctree) -> LinkedNodes:
 
 
 def coverages(octree: Octree | MergedOctree, level: int) -> np.ndarray:
-    """Return the share of set voxels of each node of a level, of a merged octree of each node in a
-    distinct subtree, (n,) float64."""
+    """Return the share of set voxels of each node of a level, (n,) float64. A merged octree has
+    the nodes of its distinct subtrees."""
     linked = linked_nodes(octree)
     counts = np.bitwise_count(linked.bricks).astype(np.int64)
     for number in range(1, level + 1):

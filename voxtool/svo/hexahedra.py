@@ -33,7 +33,7 @@ MATERIAL = "solid"  # of hexahedra without labels; its number is 1
 BOUNDARY = "boundary"  # all six surfaces
 LETTERS, MORE_LETTERS = 32, 70  # of names of materials and of surfaces, at most
 TABLES = 6  # of keys, at once
-CELL_BYTES = 512  # of memory for a cell of the largest layer, and for its nodes and faces
+CELL_BYTES = 512  # bytes of memory for a cell of the largest layer, and for its nodes and faces
 
 
 class Side(NamedTuple):

@@ -30,7 +30,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.slabs import THICK, Blocks, Filled, Order, slabs_of
 
 CHUNK = 1 << 21  # cells that are unpacked at once
-NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
+NODE_BYTES = 40  # bytes of lists of blocks and of counts, a node of the octree
 LAYERS = 24  # of cells, more than an export holds
 QUANTITIES = {"b": "occupancy", "u": "count", "f": "coverage"}  # by the kind of the dtype
 UNIFORM = -1  # instead of the node of a block: wholly set, or unset where the image is inverted
@@ -118,7 +118,7 @@ class VoxelImage:
         dtype : dtype, optional
             One of DTYPES; by default bool for voxels and with an isovalue, otherwise float32.
         isovalue : float, optional
-            Of cells above voxels: the least share of a cell that is set; by default a half.
+            The least share of a cell above voxels that is set; by default a half.
 
         Raises
         ------
@@ -393,7 +393,7 @@ class VoxelImage:
         return self._known[power]
 
     def _found(self, target: int, side: int) -> Leaves:
-        """Return the same for the nodes of the octree's level `target`, of `side` cells."""
+        """Return the leaves at the octree's level `target`, whose nodes are `side` cells wide."""
         levels = self._counts.levels
         if target >= len(levels):  # one block holds the whole grid
             return Leaves(np.zeros(1, np.uint64), np.zeros(1, np.int64), [])

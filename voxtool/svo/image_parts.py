@@ -165,8 +165,8 @@ def fitting_image(
     image: VoxelImage, max_memory: int | None = None, windows: bool = True
 ) -> VoxelImage:
     """Return an image that takes no more than `max_memory` bytes, by default half of what is free,
-    if that is possible: of the octree in memory, of its upper nodes alone, of what lies in its box,
-    or in parts; if not `windows`, of the octree in memory."""
+    if that is possible: one of the octree in memory, of its upper nodes alone, of what lies in its
+    box, or one in parts. Without `windows` the octree is in memory."""
     octree, limit = image.octree, available_memory() // 2 if max_memory is None else max_memory
     if isinstance(octree, Octree):
         return image

@@ -90,7 +90,8 @@ def pack_array(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pack_voxels(voxels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same for (N, 3) voxels from 0 to 2**21 - 1, in any order, with repetitions."""
+    """Return the occupied bricks, as pack_array does, of (N, 3) voxels from 0 to 2**21 - 1, in any
+    order, with repetitions."""
     codes = np.sort(morton_encode(voxels))
     bits = np.uint64(1) << (codes & np.uint64(63))
     codes >>= np.uint64(6)

@@ -26,7 +26,7 @@ from voxtool.svo.slabs import THICK, Filled
 
 PIECE = 1 << 18  # cubes that are passed on at once
 LOOKED_UP = 1 << 20  # cells that are looked up at once
-CUBE_BYTES = 600  # of memory for a cube and its nodes
+CUBE_BYTES = 600  # bytes of memory for a cube and its nodes
 OCTANTS = np.indices((2, 2, 2)).reshape(3, 8).T
 STEPS = np.array([(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1)])  # of SIDES
 

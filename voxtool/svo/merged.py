@@ -35,7 +35,7 @@ from voxtool.svo.merged_checks import check_subtrees, check_tables
 from voxtool.svo.octree import Octree, PointQueries
 from voxtool.svo.prune import ALL_VOXELS, kinds_of_bricks, pruned_states
 
-CHILD_BITS = np.arange(8, dtype=np.uint16)  # of a mask, which children have a link
+CHILD_BITS = np.arange(8, dtype=np.uint16)  # bits of a mask, which children have a link
 FULL_BITS = CHILD_BITS + np.uint16(8)  # and which are full
 CORNERS = morton_decode(np.arange(8))  # (8, 3): the place of each child in its parent
 NOWHERE = 1 << 30  # the low corner of the box of nothing; its high corner is -NOWHERE
@@ -59,8 +59,8 @@ class MergedOctree(PointQueries, Data, OctreeContent):
         Index of the first distinct subtree of each level above the bricks, root first, and their
         number. The root of a subtree is a refined node.
     masks : (R,) uint16
-        Of each subtree, bit c if child c is refined, or is a brick that is neither empty nor full;
-        and bit 8 + c if all voxels of child c are set.
+        Flags of each subtree: bit c if child c is refined, or is a brick that is neither empty nor
+        full; bit 8 + c if all voxels of child c are set.
     links : (K,) uint32
         The subtrees of the children with bits 0 to 7, one after the other: indices from the start
         of the level below, or of `leaves`.

@@ -37,7 +37,7 @@ SOURCE = "svo/morphology.cl"
 NONE = 0xFFFFFFFF  # instead of the index of a tile
 MAX_REACH = 128  # voxels
 SCRATCH = 1 << 26  # bytes of dilated planes at once
-Z_BITS = spread_bits(np.array((1 << 21) - 1)) << np.uint64(2)  # of a Morton code
+Z_BITS = spread_bits(np.array((1 << 21) - 1)) << np.uint64(2)  # bits of a Morton code
 TILE_BYTES = 2 * BRICK_BYTES * BRICKS  # bricks and rows
 COPIES = 2  # times TILE_BYTES that the host takes for a tile of the boundary
 MAX_HALO = -(-MAX_REACH // TILE)  # tiles
@@ -288,7 +288,7 @@ def plan_of(
     tiles: int,
     max_memory: int | None,
 ) -> MorphPlan:
-    """Return the plan of an operation on an octree whose boundary so many tiles hold."""
+    """Return the plan of an operation on an octree, given the number of tiles of its boundary."""
     element = element_of(octree, radius, world, shape)
     low = high = np.zeros(3, np.int64)
     bounds = octree.bounds() if operation == "dilate" else None
@@ -302,7 +302,7 @@ def plan_of(
 
 
 def batch_of(element: Element, tiles: int, max_memory: int | None) -> int:
-    """Return the number of tiles that are dilated at once, of an octree with so many."""
+    """Return the number of an octree's tiles that are dilated at once."""
     room = SCRATCH if max_memory is None else min(SCRATCH, max_memory - tiles * TILE_BYTES)
     return max(room // element.scratch, 1)
 
@@ -356,7 +356,7 @@ class MorphJob(Job[Octree]):
 
 
 def why_empty(plan: MorphPlan, before: int, after: int) -> Iterator[str]:
-    """Yield why a result is empty, of the numbers of set voxels."""
+    """Yield why a result is empty, given the numbers of set voxels."""
     if not before:
         yield "no voxel is set, so none is changed: see `voxtool svo-info`"
     elif not after:

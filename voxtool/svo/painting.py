@@ -92,8 +92,8 @@ def colours_of_cells(
 
 
 def values_of_cubes(values: CellValues, codes: np.ndarray, k: int) -> np.ndarray:
-    """Return the values of cubes of 2**k voxels a side by their Morton codes, (n, ...): those of
-    voxels, of inside leaves and of nodes of the values' own size; of others 0."""
+    """Return the values of cubes of 2**k voxels a side by their Morton codes, (n, ...). Voxels,
+    inside leaves and nodes of the values' own size have values; others have 0."""
     if k == 0:
         return values_of_voxels(values, codes)
     number = k - BRICK_POWER
@@ -102,8 +102,8 @@ def values_of_cubes(values: CellValues, codes: np.ndarray, k: int) -> np.ndarray
 
 
 def _of_nodes(values: CellValues, number: int, codes: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the values of nodes of a level by their codes, of those that it does not have the
-    others."""
+    """Return the values of nodes of a level by their codes, and `others` where there is no such
+    node."""
     own = values.levels[number].codes
     at = np.minimum(np.searchsorted(own, codes), len(own) - 1)
     there = own[at] == codes

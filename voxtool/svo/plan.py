@@ -14,7 +14,7 @@ from voxtool.job import Cost, Plan
 from voxtool.svo.connected.about import CONNECTED, RULE
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
-LINK_BYTES = 10  # of a node whose flips are propagated: its neighbours along x, and its flips
+LINK_BYTES = 10  # bytes of a node whose flips are propagated: its neighbours along x, and its flips
 CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
 NODE_BLOCK = 64  # voxels along a side of a block of level-1 nodes
 NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
@@ -25,7 +25,7 @@ DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense, and eight t
 CROWD = 1024  # leaves of caps near a voxel that winding numbers are summed over; at larger
 # reaches more, by their squares
 MOST_LEFT = 0.5  # share of nodes near holes without an answer up to which their bricks are expanded
-FLOOD_BYTES = 176  # of a brick in the graph of free space that a flood unites
+FLOOD_BYTES = 176  # bytes of a brick in the graph of free space that a flood unites
 FLOOD_BLOCK = 64  # voxels along a side of the blocks of which slabs consist, at least
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
@@ -175,7 +175,7 @@ class VoxelizePlan(Plan):
         )
 
     def _flood_cost(self, grid: tuple[int, int, int]) -> Cost:
-        """The predicted bytes of flooding a grid: of its largest slab, beside the mesh."""
+        """Return the predicted bytes of flooding a grid: of its largest slab, beside the mesh."""
         block, steps = flood_block(max(grid), self.gap), flood_steps(self.gap)
         slab = -(-grid[2] // (block * self.slabs)) * block + 2 * (block + steps)
         share = min(slab / grid[2], 1.0) if self.slabs > 1 else 1.0
@@ -291,8 +291,8 @@ class VoxelizePlan(Plan):
         return rows
 
     def fits(self, max_memory: int, max_allocation: int, cost: Cost | None = None) -> bool:
-        """True if the work fits in memory and the nodes fit 30-bit links; `cost` may be that of
-        more than the octree."""
+        """Return True if the work fits in memory and the nodes fit 30-bit links; `cost` may be that
+        of more than the octree."""
         cost = cost or self.cost
         return not cost.shortage(max_memory, max_allocation) and self.nodes < MAX_LINK
 
@@ -385,7 +385,7 @@ def _dense_bytes(side: int, cell: int) -> int:
 
 
 def _rescale(plan: VoxelizePlan, factor: float) -> VoxelizePlan:
-    """The plan of the same scene at another dim."""
+    """Return the plan of the same scene at another dim."""
     s = plan.survey
     ax, ay, az = (a * factor**2 for a in s.areas)
     survey = replace(s, extent=s.extent * factor, areas=(ax, ay, az))

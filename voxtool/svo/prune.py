@@ -19,8 +19,8 @@ ALL_VOXELS = ~np.uint64(0)
 
 
 def kinds_of(eights: np.ndarray, empty: Any = EMPTY, full: Any = FULL) -> np.ndarray:
-    """Return what (n, 8) children make of their parents, (n,) uint8: EMPTY or FULL leaves if all
-    children are, otherwise REFINED nodes."""
+    """Return the kinds of nodes, (n,) uint8, given those of their children, (n, 8): EMPTY or FULL
+    if all children are, otherwise REFINED."""
     kinds = np.full(len(eights), REFINED, np.uint8)
     kinds[_whole(eights == empty)] = EMPTY
     kinds[_whole(eights == full)] = FULL
@@ -33,7 +33,7 @@ def _whole(eights: np.ndarray) -> np.ndarray:
 
 
 def kinds_of_bricks(bricks: np.ndarray) -> np.ndarray:
-    """Return the same of the masks of refined level-1 nodes, eight a node."""
+    """Return the kinds_of refined level-1 nodes, given the masks of their bricks, eight a node."""
     return kinds_of(bricks.reshape(-1, 8), 0, ALL_VOXELS)
 
 
@@ -84,9 +84,11 @@ def prune_levels(
 
 
 def states_by_level(codes: np.ndarray, full: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the states of all nodes, by level from level 1 up: of the octree of refined level-1
-    nodes, given by their ascending codes, and of FULL leaves, given by their codes, for each level
-    up to the root's."""
+    """Return the states of all nodes of an octree, by level from level 1 up.
+
+    codes : ascending codes of the refined level-1 nodes; full : codes of the FULL leaves, for each
+    level up to the root's.
+    """
     lists, states = [codes], []
     for leaves in full[:-1]:
         lists.append(distinct(np.concatenate([lists[-1], leaves]) >> np.uint64(3)))

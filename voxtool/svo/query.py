@@ -41,12 +41,12 @@ from voxtool.svo.points import in_voxels, voxels_around
 
 SOURCE, NEAREST = "svo/query.cl", "svo/nearest.cl"
 BLOCK = 1 << 18  # points on the device at once
-POINT_BYTES = 10  # of a point on the device: its voxel, and what is found
+POINT_BYTES = 10  # bytes of a point on the device: its voxel, and what is found
 NEAREST_BYTES = 40  # and for its nearest voxel
 STACK = 7 * MAX_DIM.bit_length() + 1  # nodes that wait in a search
 FAR = 1 << 20  # voxels from the grid; further away rounding makes many distances equal
 STRETCH = 1 << 20  # times that a voxel may be longer than wide; no square underflows
-COUNT_BYTES = 16  # of a brick, for coverages, on the host
+COUNT_BYTES = 16  # bytes of a brick, for coverages, on the host
 NODES = 2  # what the kernel adds to the place of a node: smaller numbers are EMPTY and FULL
 HEADERS = {
     "svo/query.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, NODES=NODES),

@@ -38,7 +38,7 @@ SOURCE = "svo/resample.cl"
 DEFAULT_THRESHOLD = 0.5
 FINEST = 1 << 20  # units along a new voxel, at most: the volume of one fits 64 bits
 FARTHEST = 4 * MAX_DIM  # voxels from the octree, beyond which planes are not told apart
-CODE_BYTES, HOST_BYTES = 64, 160  # of a node that is examined; of a brick while the octree is made
+CODE_BYTES, HOST_BYTES = 64, 160  # a node that is examined; a brick while the octree is made
 STACK = 7 * (MAX_DIM // BRICK_SIDE).bit_length() + 1  # nodes that wait in a walk
 HEADERS = {
     "svo/resample.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, REFINED=REFINED, STACK=STACK)
@@ -128,7 +128,7 @@ class Placing:
 
     @property
     def exact(self) -> bool:
-        """Whether no plane was rounded."""
+        """True if no plane was rounded."""
         return all(steps.exact for steps in self.steps)
 
 

@@ -1,10 +1,10 @@
 """The share of a mesh's outer surface that a fill rule keeps, counted in voxels.
 
 The outer surface consists of the voxels that touch a triangle and lie within sqrt(3) voxels of what
-a flood reaches from outside: of a voxel that the outside shares a face, an edge or a corner with. A
-result keeps those within a voxel and a half of its boundary: from centres to the nearest voxel on
-the other side of the boundary that is the ball of radius 2 around a voxel's centre. Areas count by
-the voxels that they touch: an oblique one up to sqrt(3) times as much as one across an axis.
+a flood reaches from outside: they share a face, an edge or a corner with it. A result keeps
+those within a voxel and a half of its boundary: from centres to the nearest voxel on the other side
+of the boundary that is the ball of radius 2 around a voxel's centre. Areas count by the voxels that
+they touch: an oblique one up to sqrt(3) times as much as one across an axis.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Tallies of the cells of an octree: what is known of the voxels of each, from which the value of
-an attribute follows, by the rules of attribute_levels.py.
+"""Tallies of the cells of an octree: votes for labels, and sums of numbers, over the voxels of each
+cell. The value of an attribute follows from them by the rules of attribute_levels.py.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ BITS_OF_UNIT = 24  # of light, and of normals, fractions and shares of faces in 
 CHILDREN = 8
 
 
-def tally_of(attribute: Attribute, side: int) -> Any:
+def tally_of(attribute: Attribute, side: int) -> _Tallies:
     """Return the functions of the tallies of an attribute, in a cube of `side` voxels."""
     if attribute.name == "label":
         return _Votes(attribute)
@@ -28,7 +28,43 @@ def tally_of(attribute: Attribute, side: int) -> Any:
     return kinds[attribute.name](attribute, side)
 
 
-class _Votes:
+class _Tallies(ABC):
+    """Tallies of the voxels of each cell, and of larger cells from those of smaller ones. A
+    subclass decides what a tally consists of."""
+
+    @abstractmethod
+    def of_voxels(self, values: np.ndarray, set_: np.ndarray, own: np.ndarray) -> Any:
+        """Return the tally of n cells of m voxels each.
+
+        values : (n, m, ...); set_, own : (n, m) bool, which voxels are set, and which have a value
+        of their own, not the default.
+        """
+
+    @abstractmethod
+    def of_leaves(self, values: np.ndarray, volume: int, own: bool) -> Any:
+        """Return the tally of inside leaves of `volume` voxels each, without their numbers, given
+        their values and whether these are their own."""
+
+    @abstractmethod
+    def joined(self, parts: list[Any], starts: Any) -> Any:
+        """Return the tallies of consecutive cells as one; starts: the first cell of each part."""
+
+    @abstractmethod
+    def above(
+        self, n: int, refined: np.ndarray, below: Any, inside: np.ndarray, leaves: Any
+    ) -> Any:
+        """Return the tally of the n nodes of a level.
+
+        refined, inside : the indices of the refined nodes, and of the inside leaves; below :
+        the tally of the nodes one level below; leaves : that of the inside leaves (`of_leaves`).
+        """
+
+    @abstractmethod
+    def values(self, tally: Any, n: int, volume: int) -> np.ndarray:
+        """Return the values of n cells of `volume` voxels each, 0 where no voxel is set."""
+
+
+class _Votes(_Tallies):
     """Tallies of labels: the number of voxels of a cell that have each label, as three arrays,
     cell, label and number, which ascend by cell and label."""
 
@@ -82,7 +118,7 @@ def _merged(cells: np.ndarray, labels: np.ndarray, counts: np.ndarray) -> Any:
     return cells[order][first], labels[order][first], sums.astype(np.int64)
 
 
-class _Sums(ABC):
+class _Sums(_Tallies):
     """Tallies of numbers: their sums over the voxels of a cell, the number of voxels that are
     summed, and the number that are set, as (n, channels + 2)."""
 
@@ -93,7 +129,7 @@ class _Sums(ABC):
         self.channels = attribute.values.shape[1] if attribute.values.ndim > 1 else 1
 
     def whole(self, values: np.ndarray) -> np.ndarray:
-        """Return values as whole numbers, which are summed."""
+        """Return values as the whole numbers that are summed."""
         return values.astype(self.wide)
 
     def summed(self, set_: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -137,7 +173,10 @@ class _Sums(ABC):
 
     @abstractmethod
     def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
-        """Return the values of cells of these sums."""
+        """Return the values of cells.
+
+        sums : (n, channels); counts : (n, 1), the voxels that are summed; volume : voxels a cell.
+        """
 
 
 class _Colours(_Sums):
@@ -222,7 +261,7 @@ def _in_faces(n: int) -> np.ndarray:
 
 
 def _face_of(volume: int) -> int:
-    """Return the faces of voxels in a face of a cube of so many voxels."""
+    """Return the number of faces of voxels in a face of a cube of `volume` voxels."""
     return round(volume ** (1 / 3)) ** 2
 
 
@@ -235,17 +274,17 @@ class _Areas(_Sums):
         return np.rint(values.astype(np.float64) * self.unit).astype(self.wide)
 
     def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
-        """Areas of cells: those of their voxels add up."""
+        # the area of a cell is the sum, not the mean, of those of its voxels
         return sums.astype(np.float64) / self.unit
 
 
 def _bits_left(side: int, bits: int) -> int:
-    """Return the bits of a unit so that the sum over a cube of this side has `bits`."""
+    """Return the bits of the unit with which the sum over a cube of `side` voxels has `bits`."""
     return min(BITS_OF_UNIT, bits - 3 * (side.bit_length() - 1))
 
 
 def _floor_of_twice(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return the largest whole number that twice a mean is not below."""
+    """Return twice the mean, sums / counts, rounded down to a whole number."""
     whole = sums // counts
     rest = sums - whole * counts
     return whole * 2 + (rest >= counts - rest)

@@ -30,7 +30,7 @@ from voxtool.svo.tiling import BRICKS, TILE, Tiling
 
 NEIGHBOURS_OF = {"surface26": 26, "surface6": 6}  # by the mode of an octree
 PARITIES = np.uint64(7)  # of a Morton code: whether each coordinate is odd
-HOST_BYTES = 400  # of a set voxel, at peak
+HOST_BYTES = 400  # bytes of a set voxel, at peak
 OPEN = (
     "of {count:,} voxels {gone:,} separated nothing, as those of a surface with holes: close its "
     "mesh first (voxtool repair), or choose a smaller dim, where holes are smaller than a voxel"

@@ -83,7 +83,7 @@ class WallLinks(Data):
     flags : (N, Q) uint8
         0: no link; 1: the mesh crosses it; 2: no triangle does, and the place is 0.5.
     source_sha256, units : str
-        Of the octree.
+        Those of the octree.
     """
 
     grid: Grid

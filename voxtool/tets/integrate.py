@@ -24,7 +24,7 @@ SOURCE = "tets/integrate.cl"
 INTEGRATORS = ("linear", "preintegrated", "average", "sampled")
 MOST_SAMPLES = 1 << 12  # points in a cell
 BUCKETS = 256  # parts of the scalars, in which the search for a control point begins,
-MANY = 128  # where there are at least so many points; with fewer all are compared
+MANY = 128  # where there are at least MANY points; with fewer all are compared
 TABLE = 128, 32  # scalars and lengths along the sides of the pre-integrated table
 
 HEADERS = {
@@ -38,7 +38,7 @@ class Integral:
     """A transfer function on a device, an integrator, and isosurfaces.
 
     lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
-    arguments, options : of kernels, by name.
+    arguments, options : the kernels', by name.
     table : scalars and lengths along the sides of the pre-integrated table.
     buckets : equal parts of the scalars, a power of two, for each of which a table holds where the
         search for a control point begins; 0 for no table; by default BUCKETS with many points.

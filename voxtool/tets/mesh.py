@@ -126,12 +126,12 @@ def volume_cells(mesh: UnstructuredMesh) -> VolumeCells:
 
 
 def is_volume(kind: str, block: np.ndarray) -> bool:
-    """True if a block has cells, and they are not known to be flat."""
+    """Return True if a block has cells, and they are not known to be flat."""
     return len(block) > 0 and plain(kind) not in FLAT
 
 
 def plain(kind: str) -> str:
-    """The kind without its number of nodes: tetra for tetra10."""
+    """Return the kind without its number of nodes: tetra for tetra10."""
     return kind.rstrip("0123456789")
 
 

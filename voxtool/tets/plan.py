@@ -14,8 +14,8 @@ from voxtool.tets.packing import rows_for, width_for
 
 CELL_BYTES = {"raycast": 116, "projection": 104, "hexahedra": 186}  # of its textures, with vertices
 WORK_BYTES = {"raycast": 300, "projection": 280, "hexahedra": 620}  # at most about: measured
-POINT_BYTES = 150  # of a point, while coincident ones are merged
-PLANE_BYTES = {"raycast": 64, "projection": 48, "hexahedra": 96}  # of a cell's planes
+POINT_BYTES = 150  # bytes of a point, while coincident ones are merged
+PLANE_BYTES = {"raycast": 64, "projection": 48, "hexahedra": 96}  # bytes of a cell's planes
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class VolumePlan(Plan):
     """The plan of a volume.
 
     layout, merge_distance : as asked.
-    cells : of the mesh, by kind; ignored : cells that are no volumes, by kind.
-    points : of the mesh; constant : whether each cell has one scalar.
+    cells : the mesh's, by kind; ignored : cells that are no volumes, by kind.
+    points : the mesh's; constant : whether each cell has one scalar.
     max_pairs : pairs of points, compared for merging, beyond which the work is refused.
     max_texture : texels along an axis of a 2-D texture, beyond which it is refused.
     """

@@ -49,8 +49,8 @@ class VolumeScene:
     integrator : "linear", exact for the transfer function; "average", the mean of both ends of a
         segment; "sampled:N", N points in each cell; "preintegrated", from a table.
     isovalues : scalars whose surfaces are drawn, lit from both sides.
-    opacity : of the surfaces, more than 0, at most 1.
-    colour : of the surfaces; by default that of the transfer function at their scalar.
+    opacity : the surfaces', more than 0, at most 1.
+    colour : the surfaces'; by default that of the transfer function at their scalar.
     kept : (blocks,) bool, the blocks of cells that are drawn; by default those that the transfer
         function does not leave transparent.
     lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
@@ -58,7 +58,7 @@ class VolumeScene:
     max_pairs, max_entries : pairs of a cell and a tile, in cell projection, and entries of rays, in
         ray casting, beyond which a picture is refused.
     table : scalars and lengths along the sides of the pre-integrated table.
-    buckets : of the search for control points, as in Integral; the picture is the same.
+    buckets : buckets in which control points are searched, as in Integral; no picture differs.
 
     Raises
     ------
@@ -187,7 +187,8 @@ class VolumeScene:
         return sum(volume.sizes().values()) + view
 
     def points(self) -> np.ndarray:
-        """(V, 3) float64, world units: the vertices, whatever the transfer function shows."""
+        """Return (V, 3) float64, world units: the vertices, whatever the transfer function
+        shows."""
         return self.content.points()
 
     def local_rays(self, rays: Rays) -> Rays:

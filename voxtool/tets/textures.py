@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Array
 
 SOURCE = "tets/textures.cl"
-MORTON_BITS = 21  # of each coordinate of a centroid
+MORTON_BITS = 21  # bits of each coordinate of a centroid
 LEAST = 2.0**-126  # some devices round smaller numbers of float32 to 0
 
 HEADERS = {

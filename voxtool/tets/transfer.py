@@ -235,8 +235,8 @@ class LocalTransfer:
         return float(self.exact[:, 5].max())
 
     def below(self, parts: int) -> np.ndarray:
-        """Return the number of control points below each of so many equal parts of [0, 1], (parts,)
-        float32; `parts` is a power of two, so that a scalar's part is computed exactly."""
+        """Return the number of control points below each of `parts` equal parts of [0, 1], (parts,)
+        float32. `parts` is a power of two, so that a scalar's part is computed exactly."""
         part = np.clip(self.points * np.float32(parts), 0, parts - 1).astype(np.int64)
         return np.searchsorted(part, np.arange(parts)).astype(np.float32)
 
@@ -384,8 +384,8 @@ def _percent(text: str) -> float:
 
 def scalar_shares(volume: TetVolume) -> tuple[np.ndarray, np.ndarray]:
     """Return the normalised scalars of a volume in ascending order, (n,) float32, and the volume
-    that each stands for, (n,) float64, local: of a cell its own, of a vertex an equal part of each
-    of its cells'."""
+    that each stands for, (n,) float64, local. A cell stands for its own volume, a vertex for an
+    equal part of that of each of its cells."""
     sizes = cell_sizes(volume)
     if volume.constant:
         scalars = volume.gradients[:, 3]
@@ -398,7 +398,7 @@ def scalar_shares(volume: TetVolume) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cell_sizes(volume: TetVolume) -> np.ndarray:
-    """Return the volume of each cell, (T,) float64, local; of a hexahedron that of the six
+    """Return the volume of each cell, (T,) float64, local. A hexahedron has that of the six
     tetrahedra about its diagonal."""
     sizes = np.zeros(len(volume.cells))
     for corners in TETRAHEDRA[volume.cells.shape[1]]:

@@ -38,8 +38,8 @@ SKEWED = 1e-7  # cosines that count as 0
 class DeviceVolume:
     """The textures of a volume on a device, uploaded once and kept there as long as the volume.
 
-    arguments, options : of kernels, by name.
-    cells, vertices : their numbers; faces : of a cell.
+    arguments, options : the kernels', by name.
+    cells, vertices : their numbers; faces : the number of faces of a cell.
     """
 
     def __init__(self, volume: TetVolume, device: Device) -> None:

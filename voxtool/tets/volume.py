@@ -141,12 +141,12 @@ class TetVolume(Data):
         return "tetrahedra" if self.cells.shape[1] == 4 else "hexahedra"
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Low and high corner, (3,) float64 each, world units."""
+        """Return low and high corner, (3,) float64 each, world units."""
         points = self.points()
         return points.min(axis=0), points.max(axis=0)
 
     def points(self) -> np.ndarray:
-        """(V, 3) float64: the positions of the vertices, world units."""
+        """Return (V, 3) float64: the positions of the vertices, world units."""
         return np.array(self.origin) + self.scale * self.vertices[:, :3].astype(np.float64)
 
     def scalars(self) -> np.ndarray:
@@ -156,17 +156,17 @@ class TetVolume(Data):
         return low + (high - low) * stored[:, 3].astype(np.float64)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Every texture by its name."""
+        """Return every texture by its name."""
         names = ("vertices", "cells", "neighbours", "normals", "gradients", "ranges", "anchors")
         found = {name: getattr(self, name) for name in (*names, "heights")}
         return {name: array for name, array in found.items() if array is not None}
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of each texture."""
+        """Return the bytes of each texture."""
         return {name: array.nbytes for name, array in self.arrays().items()}
 
     def shapes(self) -> dict[str, list[int]]:
-        """Texels along x and y of each texture, and its layers and channels."""
+        """Return texels along x and y of each texture, and its layers and channels."""
         counts = {"vertices": len(self.vertices), "ranges": len(self.ranges)}
         found = {}
         for name, array in self.arrays().items():

@@ -56,7 +56,7 @@ class CombineWindowsJob(OperationJob):
 
 
 def combine_windows(job: CombineJob, octrees: Sequence[OctreeContent]) -> CombineWindowsJob | None:
-    """Return the job of a combination in windows, or None if it fits in memory as a whole, or if
+    """Return the job of a combination in windows, or None if it fits in memory, or if
     windows do not fit either."""
     if fits(job.cost, octrees, job.sources, job.device, job.max_memory):
         return None

@@ -352,7 +352,7 @@ def starts_of(masks: np.ndarray) -> np.ndarray:
 
 
 def _cut(touched: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Return the masks of those of the touched voxels that are chosen."""
+    """Return the masks of the touched voxels that are chosen."""
     bits = (touched[:, None] & BITS) != 0
     bits[bits] = chosen
     return np.packbits(bits, axis=1, bitorder="little").view(np.uint64).ravel()

@@ -58,8 +58,8 @@ class MorphWindowsJob(OperationJob):
         return self._planned(int(BOUNDARY * wide * mixed)).cost
 
     def _planned(self, tiles: int) -> MorphPlan:
-        """Return the plan for a window with so many tiles. Batches leave room for what the host
-        holds, but take a quarter of the memory, as small ones are slow."""
+        """Return the plan for a window, given the number of its tiles. Batches leave room for what
+        the host holds, but take a quarter of the memory, as small ones are slow."""
         plan, most = replace(self.whole, tiles=tiles), self.max_memory
         if most is not None:
             most = max(most - plan.cost.host, most // 4)
@@ -87,7 +87,7 @@ def plan_unread(
     shape: str,
     max_memory: int | None,
 ) -> MorphPlan:
-    """Return the plan of an operation as a whole, whose tiles are predicted."""
+    """Return the plan of an operation in one piece, whose tiles are predicted."""
     above = octree.offsets.astype(np.int64)[-LEVEL - 1 :]
     tiles = BOUNDARY * int(above[1] - above[0]) // 8 if len(above) > LEVEL else 1
     return plan_of(octree, operation, radius, world, shape, tiles, max_memory)
@@ -103,7 +103,7 @@ def morph_windows(
     device: Device,
     max_memory: int | None = None,
 ) -> MorphWindowsJob | None:
-    """Return the job of an operation in windows, or None if it fits in memory as a whole, or if
+    """Return the job of an operation in windows, or None if it fits in memory, or if
     windows do not fit either; see `voxtool.morph`."""
     whole = plan_unread(octree, operation, radius, world, shape, max_memory)
     if fits(whole.cost, [octree], [octree], device, max_memory):

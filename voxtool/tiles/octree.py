@@ -32,7 +32,7 @@ class BlockAttribute:
     ----------
     about : an Attribute of the same name, dtype, default and names, without values.
     leaves : its values of inside leaves.
-    bricks : of the octree, their number.
+    bricks : number of bricks of the octree.
     store, keys : the windows, in Morton order.
     """
 

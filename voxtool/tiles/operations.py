@@ -91,7 +91,7 @@ class Operand:
 class OperationPlan(Plan):
     """The windows of an operation on octrees."""
 
-    whole: Any  # the plan of the operation as a whole
+    whole: Any  # the plan of the operation in one piece
     window: Cost  # as predicted
     side: int  # voxels along a side of a window
     count: int  # predicted
@@ -134,7 +134,7 @@ def fits(
     device: Device,
     max_memory: int | None,
 ) -> bool:
-    """Return whether an operation of this cost fits in memory as a whole, with what it reads and
+    """Return whether an operation of this cost fits in memory in one piece, with what it reads and
     makes, and with the attributes of the octrees that voxels of the result are from."""
     limit = device.max_memory if max_memory is None else max_memory
     kept = kept_bytes(sources)

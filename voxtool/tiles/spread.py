@@ -100,7 +100,7 @@ class SpreadJob(WindowsJob):
     Parameters
     ----------
     whole : the voxelization in one piece; its max_memory is what each worker may take.
-    client : of the cluster.
+    client : the cluster's.
     device_name : the device of a worker, as --device takes it.
     """
 

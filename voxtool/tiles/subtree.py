@@ -24,7 +24,7 @@ class Subtree:
 
     levels : the (n,) uint8 states of the nodes of each level, from the root down to level 1;
     bricks : their number;
-    labels : of the full nodes of each level, or () of an octree without labels.
+    labels : labels of the full nodes of each level, or () without labels.
     """
 
     levels: tuple[np.ndarray, ...]

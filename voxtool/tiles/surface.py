@@ -90,7 +90,7 @@ class Part:
     """The part of a window.
 
     points, faces : where they wait; in faces, the vertices of other windows follow its own ones.
-    outer : of these, the window, the tile in it, and the place in the tile.
+    outer : the window of each vertex of other windows, the tile in it, and the place in the tile.
     border : Morton codes of its tiles at its sides, and the first vertex of each.
     """
 
@@ -162,7 +162,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         return (*below, AROUND**3, 8, 1)
 
     def _window_plan(self, nodes: tuple[int, ...]) -> ExtractionPlan:
-        """Return the plan of an octree with so many nodes."""
+        """Return the plan of an octree, given its nodes by level."""
         whole, solid = self._whole, "solid" in self.octree.mode
         return plan_of(nodes, False, solid, whole.style, whole.level, whole.isovalue)
 
@@ -263,7 +263,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
 def plan_windows(
     octree: OctreeContent, device: Device, max_memory: int | None = None, **request: Any
 ) -> SurfaceWindowsJob | None:
-    """Return the job of an extraction in windows, or None if it fits in memory as a whole, or if
+    """Return the job of an extraction in windows, or None if it fits in memory, or if
     its style or its windows do not allow it."""
     whole = plan_unread(octree, **request)
     if whole.style == SHARP or whole.merge or fits_whole(octree, whole, device, max_memory):

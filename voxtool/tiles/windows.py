@@ -231,7 +231,7 @@ class WindowsJob(Job[BlockOctree]):
         return sets_nothing(job.plan)
 
     def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> Job[Octree]:
-        """Return the job that makes a window, of that of its octree without attributes."""
+        """Return the job that makes a window, given `job`, which makes its octree alone."""
         return job
 
     def _shortage(self, job: Any) -> str:

@@ -86,7 +86,7 @@ class Page:
         return len(self.html.encode()) - (0 if self.served else self.data_bytes)
 
     def _repr_html_(self) -> str:
-        """The frame that a notebook shows."""
+        """Return the frame that a notebook shows."""
         return (
             f'<iframe srcdoc="{html.escape(self.html)}" sandbox="allow-scripts allow-downloads" '
             f'style="width: 100%; height: {FRAME_HEIGHT}px; border: 0"></iframe>'

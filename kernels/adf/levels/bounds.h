@@ -71,7 +71,7 @@ float16 narrow_bend(float16 least, float16 across, float edge)
 }
 
 // An upper bound of the error above, from the excesses of sixteen triangles' distances over the sizes at
-// eight corners: of each triangle, and of the mean of each and the best.
+// eight corners: those of each triangle, and those of the mean of each and the best.
 float narrow_above(const float16 *excess_at[8])
 {
     float16 excess = *excess_at[0];
@@ -189,7 +189,7 @@ NOINLINE void bound_children_by(const narrow_triangles *n, int16 bits, const bou
     }
 }
 
-// Sets the bounds of a block's children from its list; edge: of a child.
+// Sets the bounds of a block's children from its list; edge: the edge of a child.
 NOINLINE void bound_children(const child_list *list, float edge, bounded_block *block)
 {
     float above[8], below[8];
@@ -210,7 +210,7 @@ NOINLINE void bound_children(const child_list *list, float edge, bounded_block *
 }
 
 #ifdef SIGNED
-// The same bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
+// The bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
 // most `farthest`. If all normals are within an angle of the first, so is the direction to the
 // nearest point. Each distance is then the distance to a triangle's plane, divided by a cosine of
 // at least that of twice the angle. If they are not, the bound is infinite: the cell may have several

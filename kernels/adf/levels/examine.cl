@@ -165,8 +165,8 @@ void sample_all(const child_list *list, child_cell *c, double tolerance, uint th
     bound_between(c, c->error + unsure);
 }
 
-// As sample_all, of a child that no triangle passes, from distances in single precision; returns
-// false if these do not decide whether the error exceeds the tolerance.
+// Does what sample_all does for a child that no triangle passes, from distances in single precision.
+// Returns false if these do not decide whether the error exceeds the tolerance.
 NOINLINE bool samples_decide(const child_list *list, child_cell *c, double tolerance)
 {
     const float3 centre = c->at.centre;

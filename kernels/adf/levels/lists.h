@@ -115,7 +115,7 @@ triangle triangle_at(const scene_of_lists *scene, uint place)
 }
 
 // For eight points: the squared distance to the nearest triangle and its index in the lists; with
-// FLAT, the same of the nearest triangle with a side.
+// FLAT, also those of the nearest triangle with a side.
 typedef struct {
     double8 square;
     long8 which;

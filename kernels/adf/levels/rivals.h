@@ -63,8 +63,8 @@ typedef struct {
     float away[8][16];
 } rivals;
 
-// Finds the rivals in a child of a block; places and sided: the triangles nearest to the block's
-// vertices, of all and of those with a side.
+// Finds the rivals in a child of a block; places and sided: the nearest triangles, and the nearest ones
+// with a side, of the block's vertices.
 NOINLINE void find_rivals(const child_list *list, const child_corners *c, __global const uint *places,
                  __global const uint *sided, float edge, rivals *known)
 {

@@ -88,7 +88,7 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
     const double radius = extent / (1ul << level) * 2 * HALF_DIAGONAL + SLACK;
     const bool apart = own[MIDDLE] > radius;
     uchar state = parent_states[sources[gid] / 8];
-    double ways[27], slope = 0; // from the vertices to the middles of faces; of the winding number
+    double ways[27], slope = 0; // from vertices to the middles of faces; change of the winding number
     for (uint i = 0; i < 27; ++i)
         ways[i] = own[i];
 #ifdef WINDING

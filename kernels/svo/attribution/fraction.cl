@@ -1,11 +1,11 @@
-// How much of each voxel lies inside a closed mesh. Host side: voxtool/svo/attribution/fraction.py.
+// The fraction of each voxel that lies inside a closed mesh. Host side: voxtool/svo/attribution/fraction.py.
 // Options: those of columns.h.
 //
 // Along a row of voxels, towards high x, a triangle begins or ends what is inside. Its part in a voxel
 // has a signed area, across x, and a volume between the part and the voxel's high-x side. The volume
 // of a voxel that lies inside is this volume plus the areas of all parts in the voxels before it. The
-// sum of the areas up to the face between two voxels is the part of the face that lies inside; across y
-// and z, along the rows of these axes, too. Areas and volumes are rounded to whole numbers of
+// sum of the areas up to the face between two voxels is the part of the face that lies inside; rows along
+// y and z give the faces across these axes. Areas and volumes are rounded to whole numbers of
 // 2^-UNIT_BITS, so that sums do not depend on an order.
 
 #include "svo/columns.h"
@@ -29,8 +29,8 @@ typedef struct {
     int bounds[6];  // where the planes of the voxel lie
 } clipped;
 
-// What meets in a corner: a line and a plane, or a corner of the triangle and 0; and the line that leads to
-// the next one.
+// A corner is the meet of a line and a plane, or a corner of the triangle and 0; `what` also has the line
+// that leads to the next corner.
 typedef struct {
     double at[3][CORNERS]; // in units, from the low corner of the triangle's first voxel
     int what[CORNERS];
@@ -51,7 +51,7 @@ double to_double(wide a)
 double to_double(wide a) { return (double)a; }
 #endif
 
-// How far a corner lies beyond a bound along an axis, in units: x / y, with y > 0. Both are whole numbers
+// The distance of a corner beyond a bound along an axis, in units: x / y, with y > 0. Both are whole numbers
 // that are rounded once, so that the sign of x is exact.
 double2 beyond(const clipped *t, int what, int axis, int bound)
 {
@@ -78,7 +78,7 @@ double2 beyond(const clipped *t, int what, int axis, int bound)
     return slope < 0 ? (double2)(over, -slope) : (double2)(-over, slope);
 }
 
-// How far corner i lies beyond a bound along an axis: rounded, of the right sign.
+// The distance of corner i beyond a bound along an axis: rounded, with the exact sign.
 double distance_of(const clipped *t, const polygon *p, int i, int axis, int bound)
 {
     const double rounded = p->at[axis][i] - bound;
@@ -130,7 +130,7 @@ int2 voxels_along(const clipped *t, const polygon *p, int axis, bool ends)
     return (int2)(first, max(first, end - 1));
 }
 
-// What lies in a slab of voxels along an axis: the polygon itself if all of it does, or `kept`.
+// The part of a polygon in a slab of voxels along an axis: the polygon itself if all of it is, or `kept`.
 const polygon *cut_slab(clipped *t, const polygon *p, int axis, int voxel, int2 range, polygon *spare, polygon *kept)
 {
     const bool low = voxel > range.x, high = voxel < range.y;

@@ -47,7 +47,7 @@ long floor_of(double x)
     return whole - (x < (double)whole);
 }
 
-// What is bilinear between four texels, as the coefficients of 1, x, y and xy.
+// Bilinear interpolation between four texels, as the coefficients of 1, x, y and xy.
 typedef struct { double4 d, x, y, xy; } bilinear;
 
 bilinear cell_of(const texture *t, long i, long j)
@@ -264,7 +264,7 @@ double4 texture_mean(const texture *t, const part *p, linear s, linear r)
 
 // ---- faces
 
-// What the parts of a face have in common.
+// The appearance that all parts of a face share.
 typedef struct {
     double4 material;
     bool painted, textured; // it has colours of vertices, a texture

@@ -29,7 +29,7 @@ ulong spilled(ulong mask, int3 d)
 // Direction i of 27, ascending in x, then y, then z; the middle one is none.
 int3 direction(int i) { return (int3)(i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1); }
 
-// What lies in direction d from octant o of level-1 node `node`: as `beside` has it, and in *octant the
+// The neighbour in direction d of octant o of level-1 node `node`: as `beside` has it, and in *octant the
 // brick of a refined node.
 uint beside_brick(__global const uint *beside, uint node, uint o, int3 d, uint *octant)
 {

@@ -1,4 +1,4 @@
-// What the outside reaches through voxels that share a face, an edge or a corner: connected components
+// The voxels that the outside reaches through voxels that share a face, an edge or a corner: connected components
 // of the leaves of an octree and of the free voxels of its bricks. Host side: voxtool/svo/fill/flood.py.
 // Options: CODE.
 //

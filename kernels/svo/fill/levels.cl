@@ -73,7 +73,7 @@ __kernel void flip_level1(__global const svo_node *nodes, __global const uint *a
     flip[first + gid] = found;
 }
 
-// The same of a level above, whose children are nodes (A.11).
+// Flip a node of a higher level, whose children are nodes, by their flips (A.11).
 __kernel void flip_level(__global const svo_node *nodes, __global const uint *after,
                          const uint first, const uint below, const uint n, __global uchar *flip)
 {
@@ -111,7 +111,7 @@ __kernel void concatenate_level(__global const uint *before, __global const uint
 }
 
 // A node that flips flips all of its children (A.12); bricks follow below. A leaf is marked INSIDE;
-// `open` counts leaves that reach beyond the grid. above_codes: of the refined nodes of the level above.
+// `open` counts leaves that reach beyond the grid. above_codes: codes of refined nodes one level up.
 __kernel void propagate_level(__global svo_node *nodes, __global const CODE *above_codes,
                               const uint is_root, const uint first, const uint below, const uint n,
                               const uint side, const int3 shape, const uint is_last,
@@ -134,7 +134,7 @@ __kernel void propagate_level(__global svo_node *nodes, __global const CODE *abo
         atomic_inc(open);
 }
 
-// The same of level 1, whose children are bricks, which are clipped to the grid (A.7).
+// Flips the bricks below a node of level 1, clipped to the grid, if it flips (A.7).
 __kernel void propagate_bricks(__global const CODE *codes, __global const uint *parent_index,
                                const uint n, const uint is_root, const uint first, const int3 shape,
                                __global const uchar *inside, __global ulong *bricks)

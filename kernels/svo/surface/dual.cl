@@ -174,8 +174,9 @@ void number_cells(CUBES, uint slot, ulong wanted, int offset, uint *vertex, usho
     }
 }
 
-// The same of a tile, and of the adjacent cells in directions begin .. end - 1: from UP on along x,
-// y and z, from DOWN on against them, from DIAGONAL on against x and y, y and z, z and x.
+// The first vertices and cases of a tile's cut cells, and of the cut cells beside it in directions begin
+// .. end - 1: from UP on along x, y and z, from DOWN on against them, from DIAGONAL on against x and y, y
+// and z, z and x.
 #define UP 0
 #define DOWN 3
 #define DIAGONAL 6

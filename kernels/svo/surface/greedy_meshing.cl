@@ -60,7 +60,7 @@ __kernel void key_rows(__global const ulong *square_keys, const uint count,
     order[gid] = gid;
 }
 
-// The same flags where a column of sorted rows starts, in which c rises by one.
+// flags = 1 where a column of sorted rows starts, in which c rises by one; places as above.
 __kernel void flag_columns(__global const ulong *row_keys, const uint n,
                            __global const uint *row_order, __global const uint *row_start,
                            __global const ulong *square_keys, __global uint *flags,

@@ -1,7 +1,7 @@
 // Vertices of surface nets in 64 bits: their coordinates from the low corner of their cube, so that
 // one addition adds all three.
 
-#define BITS 21 // of a coordinate, and of the sum of up to 12
+#define BITS 21 // bits of a coordinate, and of the sum of up to 12
 #define COORDINATE ((1 << BITS) - 1)
 
 ulong pack(int x, int y, int z) { return (ulong)z << 2 * BITS | (ulong)y << BITS | (ulong)x; }

@@ -62,7 +62,7 @@ int crossing(uint here, uint beyond, ulong isovalue, bool is_inside)
     return is_inside ? LATTICE - kept : kept;
 }
 
-// The same of an edge that the surface cuts, and that starts at a cell.
+// The position of the crossing on an edge that the surface cuts and that starts at a cell.
 int crossing_of(TILES, SAMPLES, ulong cell, uint axis, bool is_inside)
 {
 #ifdef VOXELS

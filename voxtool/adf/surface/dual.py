@@ -18,7 +18,7 @@ Two things could break this when polygons become triangles that know their verti
   with four or more crossings only. Each such segment but the first gets a vertex in the face, and
   the polygons that it bounds are fans around a vertex at their crossing.
 - A diagonal may occur twice. Leaves opposite each other at a crossing share no face, so a diagonal
-  is no segment. They share the edge alone if one of them has it as a whole, and then no other
+  is no segment. They share the edge alone if one of them has all of it, and then no other
   polygon has both. So the diagonal ends in a leaf of the smallest size; if both could, the
   shorter one is taken.
 
@@ -48,7 +48,7 @@ NORMALS = np.array([0, 1, 0, 1])
 HIGH = np.array([1, 2, 2, 3])
 LOW = np.array([0, 1, 3, 0])
 NEXT = np.array([1, 2, 3, 0])
-PLACE_BITS = 24  # of a place along the boundary of a face
+PLACE_BITS = 24  # bits of a place along the boundary of a face
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Crossings:
 
 @dataclass(frozen=True)
 class Segments:
-    """Where the surface crosses the faces between leaves.
+    """Segments in which the surface crosses the faces between leaves.
 
     first, second : (s, 2) int64, the crossings at their ends, and the face's place around each.
     crowded : (s,) bool, whether the face has several segments.

@@ -152,8 +152,8 @@ extract_field_surface = one_call(plan_field_surface, "extract_field_surface", Fi
 
 
 class Part(NamedTuple):
-    """One surface: points, (V, 3) float64, world units; triangles, (F, 3); how many vertices are at
-    sides of the cube; and how many triangles others may pass through, if that was tested."""
+    """One surface: points, (V, 3) float64, world units; triangles, (F, 3); the number of vertices
+    on the cube's boundary; and of triangles that others may pass through, if that was tested."""
 
     points: np.ndarray
     triangles: np.ndarray
@@ -286,7 +286,8 @@ class FieldSurfaceJob(Job[FieldSurface]):
             yield self._beside(result, thin)
 
     def details(self, result: FieldSurface) -> Iterator[str]:
-        """Yield the same if it has as many shells."""
+        """Yield the shells and the volume beside those of a mesh thinner than leaves, if it has as
+        many shells."""
         thin = self._thin(result)
         if thin and thin["shells"] == result.check()["shells"]:
             yield self._beside(result, thin)

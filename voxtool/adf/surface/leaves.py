@@ -1,4 +1,4 @@
-"""The leaves that a surface of a field may pass, and the vertices of these.
+"""The leaves that a surface of a field may pass, and their vertices.
 
 A vertex is inside where its value is below the offset, by more than the rounding of distances: so
 vertices on the surface have one side, not those that rounding gives them. Leaves that share a
@@ -25,7 +25,7 @@ from voxtool.adf.surface.thin import ROUNDING, beside_thin, join_specks
 from voxtool.morton import morton_decode
 
 GRID_LEVEL = 8  # of the coarse grid, at most
-COORDINATE_BITS = 21  # of a vertex, in edges of the deepest leaves
+COORDINATE_BITS = 21  # bits of a vertex, in edges of the deepest leaves
 CORNERS = np.indices((2, 2, 2)).reshape(3, 8)[::-1].T  # x, y, z of the corners; x changes fastest
 
 
@@ -121,7 +121,7 @@ def vertices_near(field: DistanceField, leaves: Leaves, offset: np.float32) -> V
 
 
 def _near(leaves: Leaves, inside: np.ndarray) -> np.ndarray:
-    """Return the leaves near the surface, ascending; inside: of the vertices of blocks."""
+    """Return the leaves near the surface, ascending, given which vertices of blocks are inside."""
     flags = _sides(inside)[:, leaves.blocks, leaves.octants]
     top = min(leaves.depth, GRID_LEVEL)
     levels = np.minimum(leaves.levels, top)

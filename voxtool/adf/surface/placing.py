@@ -76,8 +76,8 @@ def _moved(
     field: DistanceField, leaves: Leaves, of: np.ndarray, points: np.ndarray, alone: np.ndarray,
     thin: np.ndarray, offset: np.float32,
 ) -> np.ndarray:  # fmt: skip
-    """Return points within leaves, those of leaves with one loop moved to the surface; of those in
-    leaves beside thin parts, all."""
+    """Return points within leaves: those of leaves with one loop, and all in leaves beside thin
+    parts, are moved to the surface."""
     level, blocks = leaves.levels[of], leaves.blocks[of]
     x, y, z = CORNERS[leaves.octants[of]].T
     corners = [field.voxels[blocks, z + k, y + j, x + i] for i, j, k in CORNERS]

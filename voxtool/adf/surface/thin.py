@@ -41,7 +41,7 @@ KEPT = 1 / 16  # edges from the surface, so that two sides do not pass through e
 
 def beside_thin(field: DistanceField, offset: np.float32) -> np.ndarray:
     """Return which vertices of blocks are beside parts thinner than leaves, (n, 3, 3, 3) bool;
-    offset: of the surface, in sides."""
+    offset: that of the surface, in sides."""
     found = np.zeros(field.voxels.shape, bool)
     levels, cells = cell_of(field.blocks)
     deepest = np.flatnonzero(levels == field.depth - 1)

@@ -25,7 +25,7 @@ from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
-CELL_BITS = 3  # of the least cell: a level-1 node
+CELL_BITS = 3  # bits of the least cell: a level-1 node
 
 
 @dataclass(frozen=True)

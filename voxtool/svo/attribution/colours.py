@@ -5,15 +5,15 @@ cube [Sutherland 1974]. A voxel's colour is the mean over these parts by area, i
 normal is the unit vector along the mean of the triangles' unit normals. Both are in float64 and
 summed as whole numbers of 2^-32, so that the order of triangles does not show. A triangle in the
 common side of two voxels counts by half in each. A voxel that the surface only touches has the
-values of its lowest triangle. With "nearest", the colour is that of
-the greatest part at its centroid, as texel, vertex and material have it.
+values of its lowest triangle. With "nearest", the colour is that of the greatest part at its
+centroid, as texel, vertex and material have it.
 
 Exposed voxels of a solid that the surface does not meet have the colour and the normal of its
 nearest point (exposed.py).
 
 The stages: the octree, by its own job; the surface, as mode surface26 has it; the pairs of a
-triangle and a voxel, by scan conversion, once for all attributes; the values (surface_pass.py); of
-a solid, exposed voxels.
+triangle and a voxel, by scan conversion, once for all attributes; the values (surface_pass.py); the
+exposed voxels of a solid.
 """
 
 from __future__ import annotations
@@ -338,11 +338,11 @@ class SurfaceAttributesJob(Job[Octree]):
         return {**inner, **self.plan.described(), "stages": self.plan.stages}
 
     def findings(self, result: Octree) -> Iterable[str]:
-        """Warnings about the octree."""
+        """Return warnings about the octree."""
         return self.inner.findings(result)
 
     def notes(self, result: Octree) -> Iterable[str]:
-        """Remarks on the octree."""
+        """Return remarks on the octree."""
         return self.inner.notes(result)
 
     def doubts(self, result: Octree) -> Iterable[str]:

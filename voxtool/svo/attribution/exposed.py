@@ -81,11 +81,11 @@ def with_exposed(
     Parameters
     ----------
     octree : Octree
-        With attributes of the voxels that the surface meets.
+        An octree with attributes of the voxels that the surface meets.
     low : (3,) int
         The octree's low corner in the grid of the surface, in voxels.
     names : sequence of str
-        Of the surface's attributes.
+        Names of the surface's attributes.
     """
     seen = [name for name in names if name != UNSEEN]
     if not seen:

@@ -57,7 +57,7 @@ MODE = "solid+fraction"  # of the octree
 MESH_VOLUME, LATTICE_VOLUME, LATTICE_BITS = (
     "mesh_volume_voxels", "lattice_volume_voxels", "lattice_bits",
 )  # fmt: skip
-VOXEL_BYTES = 4 * 4 + 4  # of a touched voxel: its sums and its share
+VOXEL_BYTES = 4 * 4 + 4  # bytes of a touched voxel: its sums and its share
 FACE_BYTES = 4 * 4 + 4 * FACES  # more with faces: sums across y and z, and the shares of faces
 
 
@@ -124,8 +124,8 @@ def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
 class Volumes(NamedTuple):
     """Signed volumes of a mesh, in voxels.
 
-    lattice : of its vertices on the lattice, the exact number rounded once
-    mesh : of its vertices themselves, in float64
+    lattice : with its vertices on the lattice, the exact number rounded once
+    mesh : with its vertices as they are, in float64
     """
 
     lattice: float
@@ -292,7 +292,7 @@ class FractionJob(Job[Octree]):
 
     @cached_property
     def volumes(self) -> Volumes:
-        """The signed volumes of the mesh, caps included; of a window, those of the whole mesh."""
+        """The signed volumes of the whole mesh, caps included, also for a window."""
         lattice = self.solid.lattice
         faces = lattice.faces.get(0, lattice.faces.size).reshape(-1, 3)
         rounded = volume_in_units(lattice.fixed, faces) / (6 << 3 * lattice.bits)

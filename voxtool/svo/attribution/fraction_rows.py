@@ -40,12 +40,12 @@ FACES = 6  # of a voxel: at low and high x, y, z
 class Parts:
     """Sums of the parts of triangles in the voxels that they touch.
 
-    touched : (M,) uint64 masks of these voxels, brick by brick
-    firsts : (2 M + 1,) uint32 how many come before each half of a brick
-    count : how many there are
-    sums : (2 count,) int64, of each the area across x, and the volume
-    across : (2 count,) int64, of each the areas across y and z; None without faces
-    entries : of rows along each axis, the areas before the grid, int64; None where there are none
+    touched : (M,) uint64 masks of those voxels, brick by brick
+    firsts : (2 M + 1,) uint32, the number of voxels before each half of a brick
+    count : number of voxels
+    sums : (2 count,) int64, the area across x and the volume of each voxel
+    across : (2 count,) int64, the areas across y and z of each voxel; None without faces
+    entries : int64, the areas before the grid in the rows along each axis; None without any
     """
 
     touched: Array

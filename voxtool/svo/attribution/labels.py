@@ -38,18 +38,18 @@ from voxtool.svo.scan import SEPARATING, TOUCHED, Scan, add_nodes
 from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
 
 UNITE, AREAS = "unite parts", "areas"
-SHARED_BYTES = 64  # of the union on device and host, a brick, beside its values
+SHARED_BYTES = 64  # bytes of the union on device and host, a brick, beside its values
 
 
 @dataclass(frozen=True)
 class PartLabelsPlan(Plan):
     """The plan of a voxelization with labels.
 
-    mode : of the octree
-    names : of the labels
+    mode : the octree's
+    names : the labels'
     together : parts that are voxelized at once
     alone : (part, reason) of the others
-    dtype : of the labels
+    dtype : the labels'
     side : voxels along a side of the grid in which the first ones lie
     inner : plans of the voxelizations
     """

@@ -28,9 +28,9 @@ Rule = tuple[str, int]  # a fill, and the gap that a flood closes
 class PartsOfWindows:
     """The parts of a labelled voxelization, from which windows are planned.
 
-    mesh, grid, plan, ranks : of the voxelization in one piece
+    mesh, grid, plan, ranks : those of the voxelization in one piece
     own : its parts, with faces as the fill rules turned them
-    rules : of each part
+    rules : fill rule of each part
     together : the parts that may be voxelized at once
     low, high : (n, 3) int64, the first and last voxels that each of own.parts may change
     """

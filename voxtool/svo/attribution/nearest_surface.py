@@ -42,7 +42,7 @@ OPTIONS: dict[str, int | str] = {"CODE": "uint", "COLUMN_TILE": COLUMN_TILE}
 GRAINS = 256.0  # in a squared unit of the lattice
 REACH = 8  # voxels around the voxels of which faces are searched first; then 8 times as many
 LEAST_AT_ONCE = 1 << 12  # faces
-FACE_BYTES = 60  # of a face's corners and box on the host
+FACE_BYTES = 60  # bytes of a face's corners and box on the host
 AREAS_AT_ONCE = 1 << 20  # faces whose areas are computed at once
 
 

@@ -29,7 +29,7 @@ class Nodes:
 
     refined : by level, from level 1 up: codes of refined nodes
     full : by level, from level 1 up: codes and ranks of inside leaves
-    codes, masks, ranks : of bricks
+    codes, masks, ranks : those of bricks
     """
 
     refined: list[list[np.ndarray]]
@@ -40,7 +40,7 @@ class Nodes:
 
     @classmethod
     def of_depth(cls, depth: int) -> Nodes:
-        """Return no nodes, for octrees of so many levels."""
+        """Return no nodes, for octrees of `depth` levels."""
         return cls([[] for _ in range(depth - 1)], [[] for _ in range(depth - 1)])
 
     def add(self, level: int, codes: np.ndarray, ranks: np.ndarray, refined: np.ndarray,

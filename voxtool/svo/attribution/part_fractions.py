@@ -1,9 +1,9 @@
 """Voxels that know their part, and how much of them lies inside.
 
 Each part has fractions of its own, by its own fill rule. A voxel has their sum, at most 1, and
-belongs to the part that has the greatest share of it, of equal ones to the first by priority. Of
-parts that do not overlap the sum is exact; of others it lies between the greatest share and what
-their union has.
+belongs to the part that has the greatest share of it, of equal ones to the first by priority. The
+sum is exact if the parts do not overlap; if they do, it lies between the greatest share and that of
+their union.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.stored_volume import WHOLE
 
 WHY = "each part has fractions of its own"
-SHARE_BYTES = 64 * (8 + 4 + 4)  # of a brick: sums, greatest shares and their parts
+SHARE_BYTES = 64 * (8 + 4 + 4)  # bytes of a brick: sums, greatest shares and their parts
 
 
 @dataclass(frozen=True)

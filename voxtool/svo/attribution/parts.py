@@ -54,7 +54,7 @@ def ranks_of(names: Sequence[str], priority: str | Sequence[str]) -> np.ndarray:
     Parameters
     ----------
     names : sequence of str
-        Of the labels.
+        Names of the labels.
     priority : str or sequence of str
         One of PRIORITIES: the order of the names, or its reverse; or names, in a str separated by
         commas, that come first, in this order.

@@ -21,7 +21,7 @@ from voxtool.svo.scan import ActiveNodes, Scan
 SOURCE = "svo/attribution/pieces.cl"
 FINER = 1 << 12  # units of corners in a unit of the mesh's lattice
 MOST_CORNERS = 9  # of a triangle that six planes cut
-DROPPED_BITS = 11  # of twice an area, so that its square fits 64 bits
+DROPPED_BITS = 11  # bits of twice an area, so that its square fits 64 bits
 UNITS_OF_AREA = 2 * (1 << 20) ** 2 >> DROPPED_BITS  # of a face of a voxel
 
 HEADERS = {

@@ -42,7 +42,7 @@ def connect(job: VoxelizeJob, octree: Octree, scan: Scan, active: ActiveNodes) -
     Parameters
     ----------
     scan, active : Scan, ActiveNodes
-        Of the job's mesh, and of its level-1 nodes.
+        The scan of the job's mesh, and its active level-1 nodes.
     """
     codes = descend(active.nodes.get().astype(np.uint64))
     surface = Bricks(codes, scan.voxels(TOUCHED, active).take())

@@ -2,7 +2,8 @@
 
 A solid holds the voxels whose centres are inside. Other voxels that touch a triangle are skin if
 they lie within one voxel of a block of 2 x 2 x 2 set ones, and if all set voxels within two voxels
-of them are of one component. What is no skin, with the skin beside it, are the candidates.
+of them are of one component. The others, and the skin beside them, are the
+candidates.
 
 A component of the candidates is kept if it reaches farther than REACH voxels from such a block, in
 steps through it and the set voxels beside it; or if it touches no component of the solid, or
@@ -78,8 +79,8 @@ class ThinParts:
     beside : (27, m) int32
         Where the neighbours of each candidate are among the codes; n for those that are not.
     subfields : (m,) int64
-        Of each candidate, as thinning takes them; the same wherever the mesh is moved by whole
-        voxels.
+        The subfield of each candidate, as thinning takes them. It stays the same if the mesh moves
+        by whole voxels.
     """
 
     codes: np.ndarray

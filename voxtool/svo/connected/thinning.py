@@ -24,7 +24,7 @@ from voxtool.svo.connected.neighbourhoods import (
 SUBFIELDS = 27
 COVERING = NEAR | BIT_OF[CENTRE]  # a covered voxel shares a face or an edge with one that stays
 ROWS = np.flatnonzero(BIT_OF & COVERING)
-HOST_BYTES = 800  # of a voxel, at peak
+HOST_BYTES = 800  # bytes of a voxel, at peak
 
 
 def neighbours_among(codes: np.ndarray) -> np.ndarray:
@@ -50,14 +50,14 @@ class Thinning:
     present : (n + 1,) bool
         The voxels that are set; the last one is not.
     row_of : (n + 1,) int64
-        Of each voxel that may go: its row in the following; the number of rows of others.
+        The row in the following of each voxel that may go; m for other voxels.
     beside : (27, m) int32
         The neighbours of each row.
     masks : (m + 1,) uint32
         Their neighbourhoods.
     covering : (n + 1,) int64
-        Of each covered voxel: how many of it and those that share a face or an edge with it are
-        set; many of others.
+        How many voxels are set of each covered voxel and those that share a face or an edge with
+        it; a large number for other voxels.
     stays : (m,) bool
         Those that have separated.
     """
@@ -70,7 +70,7 @@ class Thinning:
         Parameters
         ----------
         may_go, covered, sheets : (n,) bool
-            Those that may go; and of these, the covered ones, and those that may lie in sheets.
+            The voxels that may go, the covered ones, and those that may lie in sheets.
         beside : (27, m) int32
             Where the neighbours of those that may go are among the n, as from neighbours_among.
         """
@@ -91,7 +91,8 @@ class Thinning:
 
     def run(self, weights: np.ndarray, subfields: np.ndarray) -> np.ndarray:
         """Return which voxels stay, (n,) bool, given the weights and the subfields of those that
-        may go, (m,) int64 from 0 on; of one subfield no two have a common neighbour that may go."""
+        may go, (m,) int64 from 0 on. No two of one subfield have a common neighbour that may
+        go."""
         going = np.ones(len(self.rows), bool)
         key = SUBFIELDS * weights + subfields
         order = np.argsort(key, kind="stable")

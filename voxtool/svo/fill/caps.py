@@ -47,7 +47,7 @@ class Caps:
 @dataclass(frozen=True)
 class Boundary:
     """The boundary of a mesh: edges that more faces traverse in this direction than in the other.
-    Of the vertices at one position, always the same is named.
+    One vertex stands for all at its position, always the same.
 
     edges : (n, 2) vertices, as net_edges returns them.
     alone : (F,) bool, the faces whose three sides are among these edges, each side its own.

@@ -27,7 +27,7 @@ def count_differing(
 ) -> int:  # fmt: skip
     """Return the number of voxels of a window of a grid that parity and the union fill otherwise.
 
-    mesh : closed, its shells turned outward; bits : of the lattice; crossings : about how many
+    mesh : closed, its shells turned outward; bits : the lattice's; crossings : about how many
     there are, by which the window is divided in slabs that fit in max_memory bytes.
     """
     nz = shape[2]

@@ -184,8 +184,8 @@ def find_pieces(
     surface: tuple[np.ndarray, Array],
     steps: int,
 ) -> Pieces:
-    """Return the pieces of a region in an octree of `side` voxels, of the voxels that are more than
-    `steps` steps from a surface.
+    """Return the pieces of a region in an octree of `side` voxels that consist of the voxels more
+    than `steps` steps from a surface.
 
     seeds : Morton codes of level-1 nodes to be refined; surface : the codes of those with surface
     voxels, and the (8 n,) masks of their bricks.

@@ -260,8 +260,9 @@ class NearHoles:
         return found
 
     def _numbers(self, voxels: np.ndarray, winding: WindingNumber | None) -> np.ndarray:
-        """Return (n,) float64 winding numbers at voxels, given by Morton codes: of the mesh, or
-        of the mesh with its caps if `winding`, the winding number of the caps, is None."""
+        """Return (n,) float64 winding numbers at voxels, given by Morton codes. They are those of
+        the mesh with its caps if `winding`, the winding number of the caps, is None, or else those
+        of the mesh alone."""
         n = len(voxels)
         codes, numbers = self._device.put(voxels), self._device.empty(n, np.float64)
         self._kernel("number_voxels")(n, codes, numbers, **self._arguments)
@@ -292,7 +293,8 @@ class NearHoles:
         return self._decided("decide_by_expansions", bricks, MIDDLE, **of)
 
     def _by_sums(self, bricks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same of bricks in which every voxel's number is summed."""
+        """Return the codes and masks of the bricks that N >= 1 does not decide, by summing the
+        number of every voxel."""
         winding = self._windings[0]
         return self._decided(
             "decide_bricks", bricks, 0 if self._may_crowd else 1, moments=winding.moments,

@@ -66,8 +66,8 @@ class _Net:
     that are merged to it.
 
     points, faces : (V, 3) int64, (F, 3) int64, as those of an Isosurface.
-    planes : (V, 13) float64, of each vertex the sum over the planes of its faces, weighted by area:
-        of n n, n (n . p) and p . n squared, and of the points p; in samples, as long as pitches.
+    planes : (V, 13) float64, for each vertex the sums over the planes of its faces, weighted by
+        area, of n n, n (n . p), p . n squared and the points p; in samples, as long as pitches.
     most : (V,) int64, the highest level of a cell in which a vertex may be merged.
     """
 

@@ -50,7 +50,7 @@ class Blocks:
     """Bricks that have set voxels, and inside leaves, in Morton order.
 
     starts, ends : (n,) uint64 codes of bricks, from which and before which each one lies
-    places : (n,) int64 a brick's row of `values`; of a leaf ~value
+    places : (n,) int64 a brick's row of `values`, or ~value of a leaf
     codes : (m,) uint64 codes of the bricks
     values : (m, 64) values of their voxels, in the order of the bits
     leaves : levels of leaves: codes of leaves, their places, and bricks along a side

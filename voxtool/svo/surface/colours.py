@@ -37,14 +37,14 @@ def surface_colours(
     device: Device | None,
     labels: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the colours of a surface, uint8 in sRGB and opacity: of its vertices, (V, 4), or of
-    voxel faces those of its triangles, (F, 4).
+    """Return the colours of a surface, uint8 in sRGB and opacity: those of its vertices, (V, 4), or
+    those of its triangles, (F, 4), if they are voxel faces.
 
     Parameters
     ----------
     octree : has the attribute.
     style, side, points, faces : as those of an Isosurface.
-    labels : (V,), of the voxels that give each vertex its colour; None: all do.
+    labels : (V,), the label of the voxels that give each vertex its colour; None: all do.
     """
     cells = _Cells(octree, side, device)
     rows = faces if style == VOXEL_FACES else points

@@ -46,14 +46,14 @@ class Tiles:
     The arguments of kernels, by name:
 
     word_codes : (w,) Morton codes of the words, ascending.
-    places, hash_shift : of Words.table.
+    places, hash_shift : those of Words.table.
     present, inside : (w,) sets of the present tiles and of those that are wholly inside.
     ranks : (w,) number of present tiles before each word.
     codes, masks, source : (n,) Morton code and inside samples of each present tile, and its number
         among the tiles that have nodes, if it is one.
-    samples, below, lost_below : set voxels of the 64 samples of each tile that has nodes; as a mask
-        those samples that have set voxels and are not inside, and the set voxels of these; missing
-        if samples are voxels.
+    samples : set voxels of the 64 samples of each tile that has nodes.
+    below, lost_below : mask of the samples that have set voxels and are not inside, and the number
+        of their set voxels. Both, and `samples`, are missing if samples are voxels.
     full, isovalue : voxels of a sample, and the isovalue.
     shift : samples from the root's corner to the grid's, along each axis.
     """
@@ -74,14 +74,14 @@ class Extracted:
     """A surface on the device.
 
     cubes : number of cut cubes.
-    lost : as of count_lost.
+    lost : as count_lost returns it.
     points : (3 V,) int32 as Isosurface.points.
     triangles : (3 F,) uint32 vertices, counter-clockwise seen from outside.
     first, runs : (runs n + 1,) uint32, the numbers of vertices, of triangles or quads, and at last
         of cut cubes before each of n tiles; those of each run begin with the sum of the runs
         before. It does not hold for merged faces.
-    features, homes : of a sharp surface; homes: (3 V,) int32, where vertices may move to: their
-        best places in their cells, and the means of their crossings.
+    features, homes : missing unless the surface is sharp; homes : (3 V,) int32, where vertices may
+        move to: their best places in their cells, and the means of their crossings.
     """
 
     cubes: int
@@ -103,11 +103,10 @@ def find_tiles(
     core: tuple[int, int] | None = None,
     naive: bool = False,
 ) -> Tiles:
-    """Return the tiles that hold a cube that may be cut, and their samples; of those asked for are
-    all, or those whose codes are from `core[0]` to below `core[1]`. If `naive`, all tiles of the
-    root are returned. Before memory is taken for them, `counted` is called with `tiles=`, their
-    number. MemoryLimitError is raised if there are
-    more than MAX_PRESENT."""
+    """Return the tiles that hold a cube that may be cut, and their samples: all, or those whose
+    codes are from `core[0]` to below `core[1]`; all tiles of the root if `naive`. Before memory is
+    taken for them, `counted` is called with `tiles=`, their number. MemoryLimitError is raised if
+    there are more than MAX_PRESENT."""
     with device.stage("tiles"):
         words = find_words(tree, sampling.level + WORD_LEVELS, naive)
         w = len(words.codes)

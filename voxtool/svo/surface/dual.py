@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from voxtool.svo.surface.sharp import Vertices
 
 DUAL, RELAX, MERGE = (f"svo/surface/{n}.cl" for n in ("dual", "relax", "greedy_meshing"))
-COORDINATE_BITS = MAX_DIM.bit_length()  # of a corner of a square
-KEY_BITS = 3 + 3 * COORDINATE_BITS  # of a square or a row
+COORDINATE_BITS = MAX_DIM.bit_length()  # bits of a corner of a square
+KEY_BITS = 3 + 3 * COORDINATE_BITS  # bits of a square or a row
 BATCH = 64  # vertices that a work-item moves; a power of two, whole vectors
 HEADERS = {"svo/surface/greedy_meshing.h": program.c_constants(COORDINATE_BITS=COORDINATE_BITS)}
 

@@ -208,9 +208,11 @@ def plan_of(
     merge: bool = False,
     coarser: Callable[[], Iterable[ExtractionPlan]] = tuple,
 ) -> ExtractionPlan:
-    """Return the plan of an extraction from an octree with so many nodes. A surface crosses about
-    every fourth sample of a tile, or eight of the 64 voxels of a brick; that of an octree without
-    an inside, twice as many."""
+    """Return the plan of an extraction from an octree, given its nodes by level.
+
+    A surface is taken to cross every fourth sample of a tile, or eight of the 64 voxels of a brick,
+    and twice as many if the octree has no inside.
+    """
     voxels = level == "voxel"
     active = active_tiles(nodes, level)
     cubes = active * (16 if not voxels else 8 if solid else 20)
@@ -262,7 +264,7 @@ def _coarsest(octree: OctreeContent) -> int:
 
 
 def is_much(lost: Lost, count: int) -> bool:
-    """Return whether the samples lose so many of the set voxels that it is a warning."""
+    """Return whether the samples lose enough of the set voxels for a warning."""
     return lost.below > MUCH_BELOW * count or lost.vanished > MUCH_VANISHED * count
 
 

@@ -59,9 +59,9 @@ class Features:
 
 @dataclass(frozen=True)
 class Adaptive:
-    """What the cells of different size of a surface save, and how far they take it."""
+    """Triangles saved by cells of different size, and the distance by which they move a surface."""
 
-    tolerance: float  # of its distance from the uniform surface and back, world units
+    tolerance: float  # world units: of the distance from the uniform surface and back
     uniform: int  # triangles of the uniform surface
     furthest: float  # the largest distance that was found, world units: at most the tolerance
     rounds: int  # in which cells were merged, each with fewer of them
@@ -143,8 +143,8 @@ class Isosurface(Data):
 
     @cached_property
     def volume(self) -> float:
-        """The volume that the surface encloses, in cubic world units: the exact number, rounded
-        once; of a merged or adaptive surface, rounded in each triangle."""
+        """The volume that the surface encloses, in cubic world units: exact and rounded once, but
+        rounded for each triangle if the surface is merged or adaptive."""
         if self.merged or self.adaptive:
             return volume_of(self.mesh())
         return enclosed(six_volumes(self.points, self.faces), self.side, self.grid)
@@ -254,8 +254,8 @@ AT_ONCE = 1 << 18  # triangles
 
 
 def six_volumes(points: np.ndarray, faces: np.ndarray) -> int:
-    """Return six times the volume within a closed surface, in cubic steps of the lattice; of a part
-    of it, the part's share. Corners of a triangle are less than 2**17 steps apart."""
+    """Return six times the volume within a closed surface, or the share of a part of it, in cubic
+    steps of the lattice. Corners of a triangle are less than 2**17 steps apart."""
     total = 0
     for first in range(0, len(faces), AT_ONCE):
         corners = points[faces[first : first + AT_ONCE]].astype(np.int64)

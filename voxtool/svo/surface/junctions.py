@@ -4,7 +4,7 @@ The quadrilaterals are the faces between voxels of different labels. Their corne
 eight voxels that do not all have one label, and each cell has one vertex: the corner itself, or a
 vertex of surface nets, which moves as in dual.py, by the same constants. Where three labels or more
 meet, an edge of the net has three or four quadrilaterals: a junction, which passes the side of a
-cell. A vertex of two junctions or more begins at the mean of the middles of these sides, not of the
+cell. A vertex of two junctions or more begins at the mean of the middles of those sides, not of the
 crossings, and moves along the junctions alone. Otherwise the border between two labels would pull a
 groove into the surface around both.
 
@@ -38,7 +38,7 @@ def _quad_signs() -> np.ndarray:
 
 
 class _Tables(NamedTuple):
-    """For each set of edges of a cell that are crossed, one bit each."""
+    """Tables by the set of edges of a cell that are crossed, one bit for each edge."""
 
     means: np.ndarray  # (4096, 3) int32: where its vertex begins, from the cell's low corner
     ways: np.ndarray  # (4096, WAYS) bool: the neighbours towards which its vertex moves

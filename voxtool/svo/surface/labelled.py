@@ -36,7 +36,7 @@ from voxtool.svo.surface.plan import RELAXATIONS
 
 UNSET = -1  # on the side of a triangle where no label is
 BRICK_FACES = 24  # predicted, of a brick with set voxels: a layer, and half of another one
-BRICK_BYTES = 64  # of memory for a brick beside its labels
+BRICK_BYTES = 64  # bytes of memory for a brick beside its labels
 FACE_BYTES = 320  # for a face, when its corners are numbered
 PART_BYTES = 3000  # for each brick of those that are looked at together
 MAX_FACES = 1 << 29  # so that 32 bits number their corners
@@ -256,7 +256,7 @@ def plan_labelled(
 
 
 class LabelledJob(Job[LabelledSurface]):
-    """The planned extraction of one mesh for each label, on the host but for nearest voxels.
+    """The planned extraction of one mesh for each label, on the host except for nearest voxels.
 
     Attributes
     ----------

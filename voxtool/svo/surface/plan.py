@@ -17,13 +17,13 @@ from voxtool.svo.surface.samples import WORD_LEVELS
 
 BESIDE, MOST_BESIDE = 6, 27  # words beside a word of a surface, and beside a single one
 NAIVE_SAMPLES = 1024  # along a side, if every cube is visited: 32 bits count their edges
-WORD_BYTES = 52  # on the device: of a word of tiles,
-TILE_BYTES = 128  # of a tile,
+WORD_BYTES = 52  # on the device: a word of tiles,
+TILE_BYTES = 128  # a tile,
 EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 36, SURFACE_NETS: 96, SHARP: 280}  # a cut edge,
 MERGE_BYTES = 80  # and one of voxel faces that are merged
-SOURCE_BYTES = 60, 24  # of a sharp surface: of a vertex of the source, and of a face
-ADAPTIVE_BYTES = 1500  # on the host: of a cut edge, whose vertices and faces are merged
-COLOURED_BYTES, COLOUR_BYTES = 100, 8  # on the host: of a brick with colours, of a cut edge
+SOURCE_BYTES = 60, 24  # for a sharp surface: a vertex of the source, and a face
+ADAPTIVE_BYTES = 1500  # on the host: a cut edge, whose vertices and faces are merged
+COLOURED_BYTES, COLOUR_BYTES = 100, 8  # on the host: a brick with colours, a cut edge
 SCAN = "scan"
 # How marching cubes find the places of outputs, and the arity of the pyramid. A GPU is said to gain
 # by pyramids [Dyken 2008]; none was measured here, and on a CPU the scan is faster.
@@ -103,7 +103,7 @@ class ExtractionPlan(Plan):
 
     @property
     def colourless(self) -> str:
-        """Why the surface of an octree with colours has none; "" if nothing in it says so."""
+        """The reason why the surface of an octree with colours has none, or ""."""
         if self.merge:
             return "squares of several colours are merged"
         return "cells of several colours are merged" if self.adaptive is not None else ""
@@ -139,7 +139,7 @@ class ExtractionPlan(Plan):
         )
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
-        """True if memory suffices."""
+        """Return True if memory suffices."""
         return not self.cost.shortage(max_memory, max_allocation)
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
@@ -214,8 +214,8 @@ def untangling_bytes(edges: int) -> int:
 
 
 def proving_bytes(faces: int) -> int:
-    """Return the bytes on the device of the distances between two surfaces, each of up to so many
-    faces."""
+    """Return the bytes on the device of the distances between two surfaces of up to `faces` faces
+    each."""
     from voxtool.spatial.distance import POINT_BYTES, POINTS_AT_ONCE, rounded_bytes
     from voxtool.spatial.hausdorff import PART_BYTES, PIECES_AT_ONCE
 

@@ -9,7 +9,7 @@ import numpy as np
 from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, NODE, VALID
 from voxtool.svo.octree import VOXEL, Octree
 
-ISOVALUE_BITS = 16  # of a fraction of a voxel
+ISOVALUE_BITS = 16  # bits of a fraction of a voxel
 FULL_VOXEL = 1 << 15  # the scalar of a voxel that is wholly inside, of fractions
 WORD_LEVELS = 4  # from that of samples up to that of words, which are 16 samples a side
 _BIT = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)

@@ -37,8 +37,8 @@ def farthest_sharp_edge(
     mesh: Mesh, octree: Octree, surface: Isosurface, device: Device
 ) -> tuple[float, tuple[float, ...]] | None:
     """Return the largest distance of the mesh's sharp edges from the surface, and where, in world
-    units; None without such edges. What lies inside the octree, as of parts that overlap, or beyond
-    its grid does not count."""
+    units; None without such edges. Edges inside the octree, as those of parts that overlap, or
+    beyond its grid do not count."""
     ends, grid = sharp_edges(mesh), octree.grid
     pitch, low = np.array(grid.pitch), np.array(grid.origin)
     voxels = length((ends[:, 1] - ends[:, 0]) / pitch)

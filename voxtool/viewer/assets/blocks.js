@@ -11,7 +11,7 @@ function tablesOf(root, level) {
   return bits <= ONE_TABLE ? 1 : Math.ceil(bits / TABLE_BITS);
 }
 
-// What the script and the shader agree on, each a uniform of this name.
+// Numbers that the script and the shader share, each a uniform of this name.
 const LAYOUT = {
   LEAVES: 32, // entries from here on: inside leaves, by size
   POINTERS: 64, // entries from here on: a table, or a block
@@ -84,7 +84,7 @@ function linksOf(root, counts, children, shareOf) {
  * each byte is a cell: its voxels where these are drawn, else not 0 where it holds a voxel, and all
  * ones where the octant is an inside leaf; and the shares of its cells, by x, y, z, of which `whole` is
  * what the shader reads where all is set. Cells of which less than the share `least` is set are not drawn.
- * Of an octree with attributes, `tints` says which values are shown, and where those of a brick's voxels
+ * If the octree has attributes, `tints` says which values are shown, and where those of a brick's voxels
  * begin; `leaves` has the value of each entry that is an inside leaf, and `firsts` where the values of each
  * octant begin or, without bricks, the value of each cell.
  * @param {Links} links @param {number} tables from the root to a block @param {number} cell @param {Uint32Array | null} bricks where voxels are drawn

@@ -186,7 +186,7 @@ vec2 rowOf(Weights w, ivec4 row)
 }
 
 // The slice of cells at z, weighted along x and y: changes along x and y, and mean. `here` and `next`:
-// the first texels at z of the two blocks along x, and of those beyond y; `y`: of the first cell.
+// the first texels at z of the two blocks along x, and of those beyond y; `y`: that of the first cell.
 vec3 sliceOf(Weights w, ivec4 here, ivec4 next, int y)
 {
     ivec4 step = ivec4(1, 0, 1, 0);

@@ -1,10 +1,10 @@
 // The depths at which the rays of tiles of a picture begin: those of the nodes that tiles may show.
 
 const TILE = 8; // pixels along a side
-const MOST_NODES = 8192; // that are drawn, but for inside leaves
+const MOST_NODES = 8192; // nodes that are drawn, besides inside leaves
 
-/** The nodes that hold all voxels, low corner and size each: of the least size of which there are not
- * too many, and the inside leaves above. @param {Links} links */
+/** The nodes that hold all voxels, low corner and size each: those of the least size that has at most
+ * MOST_NODES of them, and the inside leaves above. @param {Links} links */
 function nodeList({ root, held, refined, child, counts }) {
   const level = counts.filter((count) => count <= MOST_NODES).length - 1;
   /** @type {number[]} */

@@ -35,7 +35,7 @@ double squared(double3 v) { return v.x * v.x + v.y * v.y + v.z * v.z; }
 
 // Add the parts of eight boundary edges from a to b; `edges` holds the x, y, z of a, those of b, their
 // lengths, and 1 over their squares, and p is the point. By the law of Biot and Savart, the gradient is
-// the integral of dl x r / (4 pi r^3) = b x a s / (4 pi). What it changes by with d, along d, is
+// the integral of dl x r / (4 pi r^3) = b x a s / (4 pi). Its change by d, along d, is
 // (b x a . d) (grad s . d + d . H d / 2), where H has the second derivatives of s. The terms of order k
 // are at most dl radius^k / (4 pi r^(k + 1)).
 void expand_edges(expansion *e, __global const double *edges, double3 p)
@@ -87,7 +87,7 @@ void expand_edges(expansion *e, __global const double *edges, double3 p)
     e->twist[9] += cx * yz + cy * xz + cz * xy;
 }
 
-// What triangles of this total area at a distance add to `rest`: each is a dipole.
+// The amount that triangles of this total area at a distance add to `rest`: each is a dipole.
 double rest_of_area(const expansion *e, double area, double squared_gap)
 {
     return e->radius * area / (2 * PI * squared_gap * sqrt(squared_gap));

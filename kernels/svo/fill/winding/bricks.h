@@ -222,8 +222,8 @@ void add_triangle(brick_sums *sums, const triangle *t, int3 first)
     }
 }
 
-// Which children of a node count at the corners of a brick alone, and are interpolated between them: all
-// of the brick is beyond the child's reach, and the second derivatives of its winding number, at most
+// The children of a node that count at the corners of a brick alone, interpolated between them: all of
+// the brick is beyond the child's reach, and the second derivatives of its winding number, at most
 // 6 area / (4 pi r^4) in each direction at distance r, bend it by no more than FLAT. Adds the bound and
 // that of rounding errors to sums->error. All in voxels.
 long8 linear_children(brick_sums *sums, double8 distance, double8 far, double8 radius, double8 area)
