@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import chain
 from typing import Any
 
@@ -20,6 +21,7 @@ from voxtool.arrays import digest_of
 from voxtool.choices import COLOURS
 from voxtool.files.windows import Key, Window
 from voxtool.mesh.appearance import Appearance
+from voxtool.mesh.mesh import Mesh
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.colours import EXPOSED as STAGE
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
@@ -32,12 +34,13 @@ from voxtool.svo.content import StoredOctree
 from voxtool.svo.layout import BRICK, NODE
 from voxtool.svo.links import FULL, REFINED, nodes_of, offsets_of
 from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import VoxelizeJob
-from voxtool.tiles.flooding import FloodWindowsJob, filled
+from voxtool.tiles.flooding import FloodWindowsJob
 from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.operations import Operand
-from voxtool.tiles.subtree import Subtree, codes_of, leaf_subtree, subtree_of
-from voxtool.tiles.windows import MARGIN, Content, Part, WindowsJob, attributed, mesh_of
+from voxtool.tiles.spread import Executor, Sent
+from voxtool.tiles.subtree import Subtree, leaf_subtree, subtree_of
+from voxtool.tiles.windows import MARGIN, Part, WindowsJob, mesh_of
+from voxtool.tiles.workers import Described
 
 EXPOSED = "exposed voxels of window"  # as progress says it
 
@@ -45,11 +48,13 @@ EXPOSED = "exposed voxels of window"  # as progress says it
 class AttributeWindowsJob(WindowsJob):
     """A voxelization with attributes of the surface that runs window by window."""
 
-    def __init__(self, job: SurfaceAttributesJob) -> None:
+    def __init__(
+        self, job: SurfaceAttributesJob, executor: Executor | None = None, *, merged: bool = False
+    ) -> None:
         self._whole_job = job
         if not job.plan.shared:
             del job.surface.lattice  # frees the memory of the whole mesh on the device
-        super().__init__(job.inner)  # pyright: ignore[reportArgumentType]
+        super().__init__(job.inner, executor, merged=merged)
 
     @property
     def _whole_plan(self) -> Any:
@@ -65,15 +70,20 @@ class AttributeWindowsJob(WindowsJob):
             found["appearance"] = _digest_of(job.mesh.appearance)
         return found
 
-    def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> SurfaceAttributesJob:
-        whole = self._whole_job
-        mesh = mesh_of(whole.mesh, self._faces_near(key, faces, MARGIN, rows=False))
-        look = whole.plan.names, COLOURS[whole.plan.nearest]
-        return SurfaceAttributesJob(job, mesh, *look, self.device, self.max_memory, alone=True)
+    @cached_property
+    def _look(self) -> tuple[Mesh, Sent | None]:
+        """The mesh that windows take their faces from, and the materials of all windows."""
+        mesh = replace(self._whole_job.mesh, parts={})
+        if "colour" not in self._whole_job.plan.names or mesh.appearance is None:
+            return replace(mesh, appearance=None), None
+        return mesh, Sent(mesh.appearance.materials)
 
-    def _finished(self, key: Key, faces: np.ndarray) -> Window:
-        made = self._complete(self._job(key, faces), key, faces)
-        return attributed(made._run(), key[3])
+    def _described(self, key: Key, faces: np.ndarray) -> tuple[Described, Sent | None]:
+        (whole, materials), plan = self._look, self._whole_job.plan
+        mesh = mesh_of(whole, self._faces_near(key, faces, MARGIN, rows=False))
+        look = mesh.appearance and replace(mesh.appearance, materials=())
+        bare = replace(mesh, appearance=None)
+        return (bare, look, plan.names, COLOURS[plan.nearest]), materials
 
     def _tree(self) -> Subtree:
         tree = super()._tree()
@@ -140,18 +150,6 @@ class AttributeWindowsJob(WindowsJob):
 
 class FloodAttributeWindowsJob(AttributeWindowsJob, FloodWindowsJob):
     """A flood with attributes of the surface that runs window by window."""
-
-    def _finished(self, key: Key, faces: np.ndarray) -> Window:
-        job = self._job(key, faces)
-        content = filled(job, self._outside[key])
-        return flooded(self._complete(job, key, faces), content)
-
-
-def flooded(job: SurfaceAttributesJob, content: Content) -> Window:
-    """Return the window of a flood with attributes of the surface, given its octree."""
-    levels, bricks, voxels = content
-    found = job.surface_values().attributes(codes_of(levels), bricks)
-    return Window(levels, bricks, voxels, found)
 
 
 class LabelAttributeWindowsJob(AttributeWindowsJob, LabelWindowsJob):
