@@ -21,7 +21,6 @@ from voxtool.svo.fill.pieces import Shared, cubes_of
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.plan import CELL, flood_block, flood_steps
-from voxtool.tiles.spread import Executor
 from voxtool.tiles.subtree import shape_of
 from voxtool.tiles.windows import Part, Wanted, WindowsJob, WindowsPlan, stored_bytes
 from voxtool.tiles.workers import plan_flood, shared_pieces
@@ -64,13 +63,11 @@ class FloodWindowsJob(WindowsJob):
     planner = staticmethod(plan_flood)
     leaves_plans = False
 
-    def __init__(
-        self, whole: Any, executor: Executor | None = None, *, merged: bool = False
-    ) -> None:
-        gap = whole.plan.gap
+    def _take_over(self) -> None:
+        super()._take_over()
+        gap = self.whole.plan.gap
         self.least = flood_block(0, gap)
         self._margin = self.least + flood_steps(gap) + CELL
-        super().__init__(whole, executor, merged=merged)
 
     def _faces_of(self, key: Key, faces: np.ndarray) -> np.ndarray:
         return self._faces_near(key, faces, self._margin, rows=False)

@@ -41,10 +41,8 @@ from voxtool.svo.voxelize import Window as Box
 from voxtool.tiles.bars import Cube, attributes_within, cubes_along
 from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.octree import BlockOctree
-from voxtool.tiles.spread import Executor
-from voxtool.tiles.subtree import LEAST, halves_of, shape_of
+from voxtool.tiles.subtree import LEAST, MARGIN, halves_of, shape_of
 from voxtool.tiles.windows import (
-    MARGIN,
     SHARE,
     Part,
     Wanted,
@@ -154,7 +152,7 @@ class BarsJob(WindowsJob):
         shares = sum(8 * bar.plan.touched for bar in bars if bar.axis)
         workers = self.executor.workers
         return BarsPlan(
-            self._whole_plan, part_of(self.root), workers, bars=tuple(bars), shares=shares
+            self.asked.plan, part_of(self.root), workers, bars=tuple(bars), shares=shares
         )
 
     def _widest_bar(self) -> int:
@@ -318,18 +316,13 @@ class FractionWindowsJob(BarsJob):
     bar_planner = staticmethod(plan_bar)
     bar_maker = staticmethod(make_bar)
 
-    def __init__(
-        self, whole: FractionJob, executor: Executor | None = None, *, merged: bool = False
-    ) -> None:
-        self._volumes = whole.volumes  # which need the mesh on the device
-        self.axes = (1, 2, 0) if whole.plan.faces else (0,)
-        super().__init__(whole, executor, merged=merged)
-
-    def _free(self) -> None:
+    def _take_over(self) -> None:
+        self._volumes = self.whole.volumes  # which need the mesh on the device
+        self.axes = (1, 2, 0) if self.whole.plan.faces else (0,)
         del self.whole.solid.lattice
 
     @property
-    def request(self) -> dict[str, Any]:
+    def _request(self) -> dict[str, Any]:
         """The content and the rule of the octree that is made, in JSON types."""
         content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
         plan = self.whole.plan
@@ -456,10 +449,10 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
         return np.flatnonzero(self._wound)
 
     @property
-    def request(self) -> dict[str, Any]:
+    def _request(self) -> dict[str, Any]:
         """The content and the rules of the octree that is made, in JSON types."""
         plan = self.whole.plan
-        return {**super().request, "kind": plan.kind, LATTICE_BITS: plan.bits}
+        return {**super()._request, "kind": plan.kind, LATTICE_BITS: plan.bits}
 
     @property
     def _rule(self) -> tuple[str, str]:

@@ -15,8 +15,9 @@ from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.labels import PartLabelsJob, fill_of
 from voxtool.svo.attribution.labels_window import PartsOfWindows
 from voxtool.tiles.octree import BlockOctree
-from voxtool.tiles.spread import Executor, Sent
-from voxtool.tiles.windows import MARGIN, WindowsJob
+from voxtool.tiles.spread import Sent
+from voxtool.tiles.subtree import MARGIN
+from voxtool.tiles.windows import WindowsJob
 from voxtool.tiles.workers import plan_labels
 
 
@@ -26,9 +27,8 @@ class LabelWindowsJob(WindowsJob):
     whole: PartLabelsJob
     planner = staticmethod(plan_labels)
 
-    def __init__(
-        self, whole: PartLabelsJob, executor: Executor | None = None, *, merged: bool = False
-    ) -> None:
+    def _take_over(self) -> None:
+        whole = self.whole
         self._parts = PartsOfWindows.of(whole)
         self._wound = self._parts.with_rule("winding")
         flooded = np.flatnonzero(self._parts.with_rule("flood"))
@@ -38,14 +38,14 @@ class LabelWindowsJob(WindowsJob):
                 f"part {name} is filled by flood, which is not made in windows beside other parts: "
                 "allow more (see --max-memory), choose another --fill, or voxelize it by itself"
             )
-        super().__init__(whole, executor, merged=merged)
+        self._free()
 
     def _free(self) -> None:
         for job in self.whole.jobs:
             del job.lattice
 
     @property
-    def request(self) -> dict[str, Any]:
+    def _request(self) -> dict[str, Any]:
         """The content and the rules of the octree that is made, in JSON types."""
         whole, own = self.whole, self._parts.own
         fills = [self._parts.rules[part][0] for part in own.parts.tolist()]

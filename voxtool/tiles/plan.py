@@ -9,11 +9,6 @@ from voxtool.svo.attribution.fraction import FractionJob
 from voxtool.svo.attribution.labels import PartLabelsJob
 from voxtool.svo.attribution.part_fractions import PartFractionsJob
 from voxtool.svo.connected.about import refuse_windows
-from voxtool.tiles.attributed import (
-    AttributeWindowsJob,
-    FloodAttributeWindowsJob,
-    LabelAttributeWindowsJob,
-)
 from voxtool.tiles.flooding import FloodWindowsJob
 from voxtool.tiles.fractions import FractionWindowsJob, PartFractionWindowsJob
 from voxtool.tiles.labelled import LabelWindowsJob
@@ -36,7 +31,8 @@ def plan_windows(
     executor : what makes the windows; by default this process.
     """
     refuse_windows(whole.plan)
-    return _kind_of(whole)(whole, executor, merged=merged)
+    octree = whole.inner if isinstance(whole, SurfaceAttributesJob) else whole
+    return _kind_of(octree)(whole, executor, merged=merged)
 
 
 def plan_spread(
@@ -53,18 +49,10 @@ def plan_spread(
 
 
 def _kind_of(whole: Any) -> type[WindowsJob]:
-    if isinstance(whole, SurfaceAttributesJob):
-        if isinstance(whole.inner, PartLabelsJob):
-            return LabelAttributeWindowsJob
-        return FloodAttributeWindowsJob if _is_flooded(whole.inner) else AttributeWindowsJob
     if isinstance(whole, FractionJob):
         return FractionWindowsJob
     if isinstance(whole, PartFractionsJob):
         return PartFractionWindowsJob
     if isinstance(whole, PartLabelsJob):
         return LabelWindowsJob
-    return FloodWindowsJob if _is_flooded(whole) else WindowsJob
-
-
-def _is_flooded(job: Any) -> bool:
-    return job.plan.fill == "flood"
+    return FloodWindowsJob if whole.plan.fill == "flood" else WindowsJob

@@ -23,6 +23,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.plan import NODE_BLOCK
 
 LEAST = NODE_BLOCK  # voxels along a side of a window
+MARGIN = 8  # voxels around a window whose faces may reach into its nodes
 CORNERS = morton_decode(np.arange(8, dtype=np.uint64))  # of the eight halves of a cube, in order
 
 

@@ -27,17 +27,20 @@ from voxtool.job import Cost, Job
 from voxtool.mesh.subset import mesh_of
 from voxtool.opencl import Device
 from voxtool.svo.attributes import Attribute
+from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
 from voxtool.svo.links import EMPTY
 from voxtool.svo.merge import Subtrees, join, no_subtrees
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan
+from voxtool.tiles.attributed import SurfaceOfWindows
 from voxtool.tiles.merging import merging_bytes, merging_shortage, subtrees_of
 from voxtool.tiles.octree import BlockAttribute, BlockOctree
 from voxtool.tiles.spread import Executor, Here, Sent
 from voxtool.tiles.subtree import (
     LEAST,
+    MARGIN,
     Subtree,
     depth_of,
     halves_of,
@@ -47,9 +50,8 @@ from voxtool.tiles.subtree import (
     refuse_smallest,
     shape_of,
 )
-from voxtool.tiles.workers import Described, make_window, plan_plain, plan_window
+from voxtool.tiles.workers import make_window, plan_plain, plan_window
 
-MARGIN = 8  # voxels around a window whose faces may reach into its nodes
 SHARE = 8  # windows of a worker, at least, so that all of them end at about the same time
 Wanted = tuple[Key, np.ndarray]  # a window, and the faces that can change it
 
@@ -194,39 +196,44 @@ class WindowsJob(Job[Any]):
     def __init__(
         self, whole: Any, executor: Executor | None = None, *, merged: bool = False
     ) -> None:
+        self.asked, self.surface = whole, None
+        if isinstance(whole, SurfaceAttributesJob):
+            self.surface = SurfaceOfWindows(whole)
+            whole = whole.inner
         whole.settle()
         self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
         self.here = Here(self.device, self.max_memory)
         self.executor, self.merged = executor or self.here, merged
         self._divided: dict[Key, Part] = {}  # windows that did not fit where they were made
         self.grid, self.mesh = whole.grid, whole.mesh
-        self._free()
+        self._take_over()
         self.all_faces = np.arange(len(self.mesh.faces))
         self.root = (0, 0, 0, self.grid.side)
         self.plan = self._plan()
 
-    def _free(self) -> None:
-        """Free the memory of the whole mesh on the device."""
+    def _take_over(self) -> None:
+        """Take what windows need of the job in one piece, and free the memory of the whole mesh on
+        the device."""
         del self.whole.lattice
 
     def _plan(self) -> WindowsPlan:
         """Return the plan; windows that are planned here all fit."""
         self._widest = self._widest_window()
         root = self._divide(self.root, self.all_faces)
-        return self.plan_type(self._whole_plan, root, self.executor.workers, self.merged)
-
-    @property
-    def _whole_plan(self) -> Any:
-        """The plan of the job in one piece."""
-        return self.whole.plan
+        return self.plan_type(self.asked.plan, root, self.executor.workers, self.merged)
 
     @property
     def request(self) -> dict[str, Any]:
-        """The content and the rule of the octree that is made, in JSON types."""
+        """The content and the rules of the octree that is made, in JSON types."""
+        merged = {"merged": True} if self.merged else {}
+        return {**self._request, **merged, **(self.surface.request if self.surface else {})}
+
+    @property
+    def _request(self) -> dict[str, Any]:
+        """The content and the rules of the octree without attributes of its surface."""
         plan = self.whole.plan
         content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
-        made = {"merged": True} if self.merged else {}
-        return {"content": content, "mode": plan.mode, "fill": plan.rule, **made}
+        return {"content": content, "mode": plan.mode, "fill": plan.rule}
 
     # ---- the windows
 
@@ -282,14 +289,14 @@ class WindowsJob(Job[Any]):
         """Return what the planner takes for a window with these faces."""
         return self._mesh_of(faces), self.grid, self._options
 
-    def _described(self, key: Key, faces: np.ndarray) -> tuple[Described | None, Sent | None]:
-        """Return what a window's attributes are found from, and the materials of all windows."""
-        return None, None
-
     def _needs(self, wanted: Wanted) -> tuple[Any, ...]:
         """Return what a window is planned from, here or by a worker."""
         key, faces = wanted
-        return self.planner, key, *self._described(key, faces), *self._given(faces)
+        described = None, None
+        if self.surface:
+            near = self._faces_near(key, faces, MARGIN, rows=False)
+            described = self.surface.described(near)
+        return self.planner, key, *described, *self._given(faces)
 
     def _needs_to_make(self, wanted: Wanted) -> tuple[Any, ...]:
         """Return what a window is made from."""
@@ -351,15 +358,21 @@ class WindowsJob(Job[Any]):
             return self._merged_octree()
         self._make(self._missing())
         tree = self._tree()
+        if self.surface and self.surface.plan.exposed:
+            self.surface.complete(self, tree)
+            tree = self._tree()
         mesh = self.mesh
         origin = (mesh.source_sha256, mesh.units, mesh.transform)
         count = sum(map(self.store.voxels, self._used))
         self._attributes = tuple(
             BlockAttribute(one, leaves_of(one, tree), tree.bricks, self.store, self._used)
-            for one in self._kinds()
+            for one in self._all_kinds()
         )
         result = (self.grid, *self._rule, tree, count, self._bricks)
-        return BlockOctree(*result, self._scene(), *origin, self._attributes)
+        scene = self._scene()
+        if self.surface:
+            scene = self.surface.whole.scene(scene)
+        return BlockOctree(*result, scene, *origin, self._attributes)
 
     @property
     def _rule(self) -> tuple[str, str]:
@@ -371,8 +384,12 @@ class WindowsJob(Job[Any]):
         return self.whole.plan.scene()
 
     def _kinds(self) -> Sequence[Attribute]:
-        """Return the attributes of the octree, without values."""
+        """Return the attributes of the octree but those of its surface, without values."""
         return ()
+
+    def _all_kinds(self) -> list[Attribute]:
+        """Return all attributes of the octree, without values."""
+        return [*self._kinds(), *(self.surface.kinds if self.surface else ())]
 
     def _prepare(self) -> None:
         """Do what comes before all windows."""
@@ -469,11 +486,13 @@ class WindowsJob(Job[Any]):
     def _merged_window(self, key: Key, faces: np.ndarray) -> Subtrees:
         """Return the distinct subtrees of a window, which is made now if none waits on disk."""
         if self.store is None:
-            self._report()
-            ((_, made),) = self.here.call(make_window, self._needs_to_make((key, faces)))
+            given = self._needs_to_make, [(key, faces)], self._report
+            ((_, ((_, made),)),) = self.here.results(make_window, *given)
             return subtrees_of(made.levels, [made.bricks], made.voxels)
         if key not in self.store:
             self._make([(key, faces)])
+        elif not self.executor.workers:
+            self._done += 1
         if key in self._divided:
             return self._merged(self._divided[key], faces)
         tables, _ = self.store.get(key)
