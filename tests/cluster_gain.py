@@ -27,8 +27,9 @@ from voxtool.files.mesh import load_mesh
 from voxtool.files.windows import Windows
 from voxtool.grid import Grid
 from voxtool.svo.voxelize import plan_voxelize
-from voxtool.tiles import spread as spreading
+from voxtool.tiles import windows
 from voxtool.tiles.cluster import connected
+from voxtool.tiles.plan import plan_spread
 
 MODES = ("surface26", "solid")
 WORKERS, MODELLED = (1, 2), (16, 256)
@@ -86,7 +87,7 @@ def run(client: Any, mesh: Any, dim: int, mode: str) -> Run:
     """Run a job once."""
     before = worked(client)
     begun = time.perf_counter()
-    job = spreading.SpreadJob(plan_voxelize(mesh, Grid.fit(mesh, dim), mode), client)
+    job = plan_spread(plan_voxelize(mesh, Grid.fit(mesh, dim), mode), client)
     with tempfile.TemporaryDirectory(dir=".") as folder:
         target = Path(folder, "octree.svo.h5")
         with Windows(str(target), job.request, job.plan.disk) as job.store:
@@ -120,12 +121,12 @@ def sending(client: Any) -> float:
 
 def cost_of_window(client: Any, mesh: Any, dim: int, mode: str, coarse: Run) -> float:
     """The seconds that a window costs beside its voxels, at least 0."""
-    share = spreading.SHARE
-    spreading.SHARE = FINER * share
+    share = windows.SHARE
+    windows.SHARE = FINER * share
     try:
         runs = [run(client, mesh, dim, mode) for _ in range(RUNS)]
     finally:
-        spreading.SHARE = share
+        windows.SHARE = share
     more = runs[0].windows - coarse.windows
     return max(0.0, median(one.work for one in runs) - coarse.work) / max(more, 1)
 

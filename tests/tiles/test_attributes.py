@@ -34,7 +34,7 @@ from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.attribution.part_fractions import plan_part_fractions
 from voxtool.svo.stored_volume import stored_volume
 from voxtool.svo.voxelize import plan_voxelize
-from voxtool.tiles.attributed import AttributeWindowsJob
+from voxtool.tiles.attributed import SurfaceOfWindows
 from voxtool.tiles.fractions import BarsJob
 from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.windows import WindowsJob
@@ -376,15 +376,15 @@ def test_exposed_voxels_of_a_killed_run(here: Path, monkeypatch: pytest.MonkeyPa
     """Windows that were completed are not changed again; the others are."""
     command = "voxelize bunny.obj --dim 200 --attributes normal --json"
     whole, left = told(f"{command} -o whole.svo.h5"), [5]
-    complete = AttributeWindowsJob._complete_window
+    complete = SurfaceOfWindows._complete_window
 
-    def dies(job: AttributeWindowsJob, *given: Any) -> None:
+    def dies(surface: SurfaceOfWindows, *given: Any) -> None:
         if not left[0]:
             raise Killed
         left[0] -= 1
-        complete(job, *given)
+        complete(surface, *given)
 
-    monkeypatch.setattr(AttributeWindowsJob, "_complete_window", dies)
+    monkeypatch.setattr(SurfaceOfWindows, "_complete_window", dies)
     limit = told(f"{command} --plan")["predicted_device_bytes"] * 5 // 10
     less = f"{command} -o parts.svo.h5 --max-memory {limit}"
     assert told(f"{less} --plan")["windows"] > 5

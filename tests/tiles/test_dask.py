@@ -34,8 +34,7 @@ from voxtool.tiles.attributed import EXPOSED
 from voxtool.tiles.cluster import connected, results
 from voxtool.tiles.make import in_memory
 from voxtool.tiles.plan import plan_spread
-from voxtool.tiles.spread import SpreadJob, SpreadPlan
-from voxtool.tiles.windows import Part, WindowsJob
+from voxtool.tiles.windows import Part, WindowsJob, WindowsPlan
 
 
 @pytest.fixture(scope="module")
@@ -88,15 +87,15 @@ def test_the_octree_in_memory(client, models: Path, surface: Octree) -> None:
 
 
 @pytest.fixture
-def spread(client: Client, models: Path, tmp_path) -> Iterator[Callable[..., SpreadJob]]:
+def spread(client: Client, models: Path, tmp_path) -> Iterator[Callable[..., WindowsJob]]:
     """A function that returns the job of the bunny's surface in windows."""
     mesh = load_mesh(models / "bunny.obj")
     grid = Grid.fit(mesh, 300)
     with ExitStack() as stack:
 
-        def job_of(max_memory: int | None = None) -> SpreadJob:
+        def job_of(max_memory: int | None = None) -> WindowsJob:
             whole = plan_voxelize(mesh, grid, "surface26", max_memory=max_memory)
-            job = SpreadJob(whole, client)
+            job = plan_spread(whole, client)
             job.store = stack.enter_context(Windows(str(tmp_path / "a"), job.request))
             return job
 
@@ -109,7 +108,7 @@ def surface(models: Path) -> Octree:
 
 
 def test_windows_that_do_not_fit_are_halved(spread, surface: Octree, monkeypatch) -> None:
-    monkeypatch.setattr("voxtool.tiles.spread.SHARE", 1)  # few windows, at first
+    monkeypatch.setattr("voxtool.tiles.windows.SHARE", 1)  # few windows, at first
     job = spread(max_memory=130_000)
     made = job.run()
     assert {key[3] for key in job._divided} == {128, 256}
@@ -132,14 +131,14 @@ def planner(models: Path, name: str) -> Callable[..., Any]:
 def test_windows_with_values_that_do_not_fit_are_halved(
     client, models, tmp_path, monkeypatch
 ) -> None:
-    monkeypatch.setattr("voxtool.tiles.spread.SHARE", 1)
+    monkeypatch.setattr("voxtool.tiles.windows.SHARE", 1)
     whole = planner(models, "labels")
     octree, _ = warned(whole().run)
     job = plan_spread(whole(max_memory=2_500_000), client)
     with Windows(str(tmp_path / "a"), job.request) as job.store:
         made, _ = warned(job.run)
         assert in_memory(made) == octree
-    assert job._divided  # pyright: ignore[reportAttributeAccessIssue]
+    assert job._divided
 
 
 @pytest.mark.parametrize("name", WITH_VALUES)
@@ -199,9 +198,9 @@ def test_a_killed_run_goes_on(
 
 def test_more_nodes_than_links_reach_are_refused() -> None:
     whole, part = SimpleNamespace(nodes=MAX_LINK, bricks=0), Part((0, 0, 0, 8))
-    SpreadPlan(whole, part, merged=True).refuse_beyond(0, 0)
+    WindowsPlan(whole, part, workers=1, merged=True).refuse_beyond(0, 0)
     with pytest.raises(MemoryLimitError, match="nodes exceeds links of 30 bits"):
-        SpreadPlan(whole, part).refuse_beyond(0, 0)
+        WindowsPlan(whole, part, workers=1).refuse_beyond(0, 0)
 
 
 @pytest.mark.parametrize("seen", [True, False], ids=["seen", "elsewhere"])

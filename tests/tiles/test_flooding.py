@@ -19,7 +19,8 @@ from voxtool.grid import Grid
 from voxtool.opencl import Device
 from voxtool.svo.flood_window import FloodWindowJob
 from voxtool.svo.voxelize import plan_voxelize
-from voxtool.tiles.flooding import FloodMergingJob, FloodWindowsJob
+from voxtool.tiles.plan import plan_windows
+from voxtool.tiles.windows import WindowsJob
 
 DIVISIONS = {
     "halves": lambda key: key[3] <= 128,
@@ -36,8 +37,7 @@ def divided(monkeypatch: pytest.MonkeyPatch, division: str) -> None:
         key = *(frame.low - frame.corner).tolist(), frame.window
         return "" if DIVISIONS[division](key) else "would not fit"
 
-    monkeypatch.setattr(FloodWindowsJob, "_shortage", shortage)
-    monkeypatch.setattr(FloodMergingJob, "_shortage", shortage)
+    monkeypatch.setattr(WindowsJob, "_shortage", shortage)
 
 
 def corridor() -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +89,7 @@ def test_windows_give_the_flood_of_one_piece(
     given = lattice_mesh(*mesh), lattice_grid(shape)
     whole = plan_voxelize(*given, fill="flood", gap=gap, device=device)
     octree = whole.run()
-    job, target = FloodWindowsJob(whole), tmp_path / "octree.svo.h5"
+    job, target = plan_windows(whole), tmp_path / "octree.svo.h5"
     assert job.plan.count > 1
     with Windows(str(target), job.request) as job.store:
         made = job.run()
@@ -101,7 +101,7 @@ def test_an_inside_without_faces_is_full(tmp_path, device: Device, monkeypatch) 
     divided(monkeypatch, "halves")
     box, grid = lattice_mesh(*meshes.box(20 * UNIT, 364 * UNIT)), lattice_grid((384,) * 3)
     whole = plan_voxelize(box, grid, fill="flood", device=device)
-    octree, job = whole.run(), FloodMergingJob(whole)
+    octree, job = whole.run(), plan_windows(whole, merged=True)
     assert not job.plan.root.parts[0].parts[7].window
     assert job.run().digest() == octree.digest()
 
@@ -115,7 +115,7 @@ def test_the_grid_may_cut_the_mesh(
     grid = Grid.fit(mesh, 300).window((40, 6, 0), (260, 202, 280))
     whole = plan_voxelize(mesh, grid, fill="flood", gap=gap, device=device)
     octree = whole.run()
-    assert FloodMergingJob(whole).run().digest() == octree.digest()
+    assert plan_windows(whole, merged=True).run().digest() == octree.digest()
 
 
 def test_floods_of_the_command_line(here: Path) -> None:

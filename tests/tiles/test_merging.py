@@ -22,7 +22,8 @@ from voxtool.svo.merge import Subtrees, join, merge, no_subtrees
 from voxtool.svo.merged import MERGE_BYTES, MergedOctree
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
-from voxtool.tiles.merging import MergingJob
+from voxtool.tiles import workers
+from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.subtree import depth_of, subtree_of
 
 TABLES = ("root", "starts", "masks", "links", "leaves")
@@ -70,14 +71,16 @@ def test_windows_merge_to_the_octree_of_one_piece(mode: str, models: Path, devic
     for parts in 1.6, 3.0:
         limit = int((whole.plan.cost.host + MERGE_BYTES * whole.plan.bricks) / parts)
         limit = max(limit, int(whole.plan.cost.device / parts))
-        job = MergingJob(plan_voxelize(mesh, grid, mode, device=device, max_memory=limit))
+        part = plan_voxelize(mesh, grid, mode, device=device, max_memory=limit)
+        job = plan_windows(part, merged=True)
         assert job.plan.count > 3
         assert_same_tables(job.run(), MergedOctree.of(whole.run()))
 
 
 def test_subtrees_beyond_the_limit_are_refused(models: Path, device: Device) -> None:
     mesh = load_mesh(models / "bunny.obj")
-    job = MergingJob(plan_voxelize(mesh, Grid.fit(mesh, 200), device=device, max_memory=400_000))
+    whole = plan_voxelize(mesh, Grid.fit(mesh, 200), device=device, max_memory=400_000)
+    job = plan_windows(whole, merged=True)
     job.whole.max_memory = 10_000
     with pytest.raises(MemoryLimitError, match=r"distinct subtrees of 256 voxels a side take"):
         job._run()
@@ -103,15 +106,15 @@ def test_a_killed_run_goes_on(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     whole = told(f"{asked} -o one.svo.h5")
     limit = told(f"{asked} --plan")["predicted_device_bytes"] // 3
     limited = f"{asked} --max-memory {limit} -o two.svo.h5"
-    windows, left, content = told(f"{limited} --plan")["windows"], [2], MergingJob._content
+    windows, left, merge = told(f"{limited} --plan")["windows"], [2], workers.merge
 
-    def dies(job: MergingJob, *window: Any) -> Any:
+    def dies(*window: Any) -> Any:
         if not left[0]:
             raise Killed
         left[0] -= 1
-        return content(job, *window)
+        return merge(*window)
 
-    monkeypatch.setattr(MergingJob, "_content", dies)
+    monkeypatch.setattr(workers, "merge", dies)
     with pytest.raises(Killed):
         run(limited)
     folder, left[0] = Path("two.svo.h5.windows"), 100

@@ -27,7 +27,6 @@ from voxtool.svo.booleans import combine, plan_combine
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.voxelize import plan_voxelize, voxelize
-from voxtool.tiles.merging import MergingJob
 from voxtool.tiles.plan import plan_windows
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ def _large(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
         "in one piece, merged": lambda: write_svo(MergedOctree.of(plan().run()), target),
         "in windows": lambda: _in_windows(part(), target),
         "in windows, merged": lambda: write_svo(
-            cast("MergedOctree", MergingJob(part()).run()), target
+            cast("MergedOctree", plan_windows(part(), merged=True).run()), target
         ),
     }
     for method, write in ways.items():

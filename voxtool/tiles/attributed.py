@@ -9,10 +9,11 @@ what lies around a window is read from it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from voxtool.arrays import digest_of
 from voxtool.choices import COLOURS
 from voxtool.files.windows import Key, Window
 from voxtool.mesh.appearance import Appearance
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.subset import mesh_of
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.colours import EXPOSED as STAGE
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
@@ -32,130 +35,119 @@ from voxtool.svo.content import StoredOctree
 from voxtool.svo.layout import BRICK, NODE
 from voxtool.svo.links import FULL, REFINED, nodes_of, offsets_of
 from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import VoxelizeJob
-from voxtool.tiles.flooding import FloodWindowsJob, filled
-from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.operations import Operand
-from voxtool.tiles.subtree import Subtree, codes_of, leaf_subtree, subtree_of
-from voxtool.tiles.windows import MARGIN, Content, Part, WindowsJob, attributed, mesh_of
+from voxtool.tiles.spread import Sent
+from voxtool.tiles.subtree import Subtree, leaf_subtree, subtree_of
+from voxtool.tiles.workers import Described
+
+if TYPE_CHECKING:
+    from voxtool.tiles.windows import Part, WindowsJob
 
 EXPOSED = "exposed voxels of window"  # as progress says it
 
 
-class AttributeWindowsJob(WindowsJob):
-    """A voxelization with attributes of the surface that runs window by window."""
+class SurfaceOfWindows:
+    """The attributes of the surface of a voxelization that runs window by window.
 
-    def __init__(self, job: SurfaceAttributesJob) -> None:
-        self._whole_job = job
-        if not job.plan.shared:
-            del job.surface.lattice  # frees the memory of the whole mesh on the device
-        super().__init__(job.inner)  # pyright: ignore[reportArgumentType]
+    Parameters
+    ----------
+    whole : the voxelization in one piece.
+    """
 
-    @property
-    def _whole_plan(self) -> Any:
-        return self._whole_job.plan
+    def __init__(self, whole: SurfaceAttributesJob) -> None:
+        self.whole, self.plan = whole, whole.plan
+        if not whole.plan.shared:
+            del whole.surface.lattice  # frees the memory of the whole mesh on the device
 
     @property
     def request(self) -> dict[str, Any]:
-        """The content and the rules of the octree that is made, in JSON types."""
-        job = self._whole_job
-        found = {**super().request, "attributes": list(job.plan.names)}
-        if job.mesh.appearance and "colour" in job.plan.names:
-            found["colour"] = COLOURS[job.plan.nearest]
-            found["appearance"] = _digest_of(job.mesh.appearance)
+        """The attributes, and what they depend on beside the mesh, in JSON types."""
+        look, found = self.whole.mesh.appearance, {"attributes": list(self.plan.names)}
+        if look and "colour" in self.plan.names:
+            return {**found, "colour": COLOURS[self.plan.nearest], "appearance": _digest_of(look)}
         return found
 
-    def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> SurfaceAttributesJob:
-        whole = self._whole_job
-        mesh = mesh_of(whole.mesh, self._faces_near(key, faces, MARGIN, rows=False))
-        look = whole.plan.names, COLOURS[whole.plan.nearest]
-        return SurfaceAttributesJob(job, mesh, *look, self.device, self.max_memory, alone=True)
+    @property
+    def kinds(self) -> list[Attribute]:
+        """The attributes, without values."""
+        return list(map(without_values, self.plan.names))
 
-    def _finished(self, key: Key, faces: np.ndarray) -> Window:
-        made = self._complete(self._job(key, faces), key, faces)
-        return attributed(made._run(), key[3])
+    @cached_property
+    def _look(self) -> tuple[Mesh, Sent | None]:
+        """The mesh that windows take their faces from, and the materials of all windows."""
+        mesh = replace(self.whole.mesh, parts={})
+        if "colour" not in self.plan.names or mesh.appearance is None:
+            return replace(mesh, appearance=None), None
+        return mesh, Sent(mesh.appearance.materials)
 
-    def _tree(self) -> Subtree:
-        tree = super()._tree()
-        if not self._whole_job.plan.exposed:
-            return tree
-        self._done = 0
-        octree = Operand(self._on_disk(tree), np.zeros(3, np.int64))
-        surface = self._whole_job.whole_surface
-        for key in self._leaves(self.plan.root):
-            self._report(EXPOSED)
-            with self.device.reporting(lambda _: None), self.device.stage(STAGE):
-                self._complete_window(key, octree, surface)
-        return super()._tree()
+    def described(self, near: np.ndarray) -> tuple[Described, Sent | None]:
+        """Return what the attributes of a window are found from, given the faces near it, and the
+        materials of all windows."""
+        whole, materials = self._look
+        mesh = mesh_of(whole, near)
+        look = mesh.appearance and replace(mesh.appearance, materials=())
+        bare = replace(mesh, appearance=None)
+        return (bare, look, self.plan.names, COLOURS[self.plan.nearest]), materials
 
-    def _on_disk(self, tree: Subtree) -> StoredOctree:
-        """Return the octree of all windows, which waits on disk."""
-        bricks = chain.from_iterable(map(self.store.bricks, self._used))
-        arrays = (
-            offsets_of(tree.levels, tree.bricks).astype(np.uint32),
-            self.store.mapped("nodes", NODE, nodes_of(tree.levels)),
-            self.store.mapped("bricks", BRICK, bricks),
-        )
-        return StoredOctree(self.grid, *self._rule, *arrays, {}, "", "")  # pyright: ignore[reportArgumentType]
+    # ---- exposed voxels
 
-    def _leaves(self, part: Part) -> Iterator[Key]:
-        """Yield the windows and the full cubes between them."""
-        part = self._divided_part(part)
-        for half in part.parts:
-            yield from self._leaves(half)
-        if part.key in self.store or (not part.parts and self._leaf(part.key) == FULL):
-            yield part.key
+    def complete(self, job: WindowsJob, tree: Subtree) -> None:
+        """Give the exposed voxels of all windows of a job their values, given their tree."""
+        job._done = 0
+        octree = Operand(_on_disk(job, tree), np.zeros(3, np.int64))
+        surface = self.whole.whole_surface
+        for key in _leaves(job, job.plan.root):
+            job._report(EXPOSED)
+            with job.device.reporting(lambda _: None), job.device.stage(STAGE):
+                self._complete_window(job, key, octree, surface)
 
-    def _complete_window(self, key: Key, whole: Operand, surface: NearestSurface) -> None:
+    def _complete_window(
+        self, job: WindowsJob, key: Key, whole: Operand, surface: NearestSurface
+    ) -> None:
         """Give the exposed voxels of a cube their values."""
         if whole.state(key, 1) != REFINED:
             return
         around, corner = whole.part(key, 1, math.inf)
         box = -corner, np.full(3, key[3])
-        exposed = exposed_voxels(around, *box, self.device, self.max_memory)
-        own = self._octree(key)
-        made = with_exposed(own, exposed, surface, np.array(key[:3]), self._whole_job.names)
+        exposed = exposed_voxels(around, *box, job.device, job.max_memory)
+        own = _octree(job, key)
+        made = with_exposed(own, exposed, surface, np.array(key[:3]), self.plan.names)
         if made is not own:
-            count = self.store.voxels(key) if key in self.store else key[3] ** 3
+            count = job.store.voxels(key) if key in job.store else key[3] ** 3
             levels = subtree_of(made, key[3]).levels
-            self.store.put(key, Window(levels, made.bricks, count, made.attributes))
-
-    def _octree(self, key: Key) -> Octree:
-        """Return a window, or a full cube."""
-        levels, bricks = leaf_subtree(key[3], FULL).levels, np.empty(0, BRICK)
-        attributes = self._kinds()
-        if key in self.store:
-            levels, _ = self.store.get(key)
-            bricks = np.concatenate([bricks, *self.store.bricks(key)])
-            attributes = [self.store.load(key, one) for one in attributes]
-        octree = Octree.of_states(cube(key[3]), *self._rule, levels, bricks)
-        return replace(octree, attributes=tuple(attributes))
-
-    def _scene(self) -> dict[str, Any]:
-        return self._whole_job.scene(super()._scene())
-
-    def _kinds(self) -> Sequence[Attribute]:
-        return (*super()._kinds(), *map(without_values, self._whole_job.plan.names))
+            job.store.put(key, Window(levels, made.bricks, count, made.attributes))
 
 
-class FloodAttributeWindowsJob(AttributeWindowsJob, FloodWindowsJob):
-    """A flood with attributes of the surface that runs window by window."""
-
-    def _finished(self, key: Key, faces: np.ndarray) -> Window:
-        job = self._job(key, faces)
-        content = filled(job, self._outside[key])
-        return flooded(self._complete(job, key, faces), content)
-
-
-def flooded(job: SurfaceAttributesJob, content: Content) -> Window:
-    """Return the window of a flood with attributes of the surface, given its octree."""
-    levels, bricks, voxels = content
-    found = job.surface_values().attributes(codes_of(levels), bricks)
-    return Window(levels, bricks, voxels, found)
+def _on_disk(job: WindowsJob, tree: Subtree) -> StoredOctree:
+    """Return the octree of all windows, which waits on disk."""
+    bricks = chain.from_iterable(map(job.store.bricks, job._used))
+    arrays = (
+        offsets_of(tree.levels, tree.bricks).astype(np.uint32),
+        job.store.mapped("nodes", NODE, nodes_of(tree.levels)),
+        job.store.mapped("bricks", BRICK, bricks),
+    )
+    return StoredOctree(job.grid, *job._rule, *arrays, {}, "", "")  # pyright: ignore[reportArgumentType]
 
 
-class LabelAttributeWindowsJob(AttributeWindowsJob, LabelWindowsJob):
-    """A voxelization with labels and attributes of the surface that runs window by window."""
+def _leaves(job: WindowsJob, part: Part) -> Iterator[Key]:
+    """Yield the windows and the full cubes between them."""
+    part = job._divided_part(part)
+    for half in part.parts:
+        yield from _leaves(job, half)
+    if part.key in job.store or (not part.parts and job._leaf(part.key) == FULL):
+        yield part.key
+
+
+def _octree(job: WindowsJob, key: Key) -> Octree:
+    """Return a window, or a full cube."""
+    levels, bricks = leaf_subtree(key[3], FULL).levels, np.empty(0, BRICK)
+    attributes = job._all_kinds()
+    if key in job.store:
+        levels, _ = job.store.get(key)
+        bricks = np.concatenate([bricks, *job.store.bricks(key)])
+        attributes = [job.store.load(key, one) for one in attributes]
+    octree = Octree.of_states(cube(key[3]), *job._rule, levels, bricks)
+    return replace(octree, attributes=tuple(attributes))
 
 
 def _digest_of(look: Appearance) -> str:

@@ -9,10 +9,9 @@ import numpy as np
 
 from voxtool.files.windows import Window
 from voxtool.svo.attributes import Attribute
-from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.links import FULL, REFINED
 from voxtool.svo.octree import Octree
-from voxtool.tiles.subtree import Subtree, leaf_subtree, subtree_of
+from voxtool.tiles.subtree import Subtree, leaf_subtree, subtree_of, voxels_of
 
 
 @dataclass(frozen=True)
@@ -29,10 +28,8 @@ class Cube:
 
     def window(self, bricks: np.ndarray, attributes: list[Attribute], known: object) -> Window:
         """Return the cube as a window, given its own bricks and attributes."""
-        voxels = int(np.bitwise_count(bricks).sum(dtype=np.int64))
-        for number, states in enumerate(self.tree.levels[::-1], 1):
-            voxels += int(np.count_nonzero(states == FULL)) * (BRICK_SIDE << number) ** 3
-        return Window(self.tree.levels, bricks, voxels, attributes, known)
+        levels = self.tree.levels
+        return Window(levels, bricks, voxels_of(levels, bricks), attributes, known)
 
 
 def cubes_along(octree: Octree, side: int, axis: int) -> Iterator[Cube]:

@@ -134,20 +134,6 @@ def results(
         yield call, result
 
 
-def sent_once(client: Client, value: Any) -> Callable[[], Any]:
-    """Return a function that returns what stands for a value in calls: the value is sent at the
-    first use, and again after it was lost with a scheduler or a worker."""
-    sent: Any = None
-
-    def stand_in() -> Any:
-        nonlocal sent
-        if sent is None or sent.cancelled():
-            (sent,) = cast("list[Any]", client.scatter([value], hash=False))
-        return sent
-
-    return stand_in
-
-
 def _wait_for(client: Client) -> None:
     """Wait while a scheduler is lost; raise DeviceError if it does not come back."""
     while client.status == "connecting":

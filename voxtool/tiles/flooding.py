@@ -7,8 +7,9 @@ made from the roots of its pieces that are outside.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -17,20 +18,12 @@ from voxtool.job import Cost
 from voxtool.svo.fill.flood import window_frame
 from voxtool.svo.fill.outside import Outside
 from voxtool.svo.fill.pieces import Shared, cubes_of
-from voxtool.svo.flood_window import FloodWindowJob
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.plan import CELL, flood_block, flood_steps
-from voxtool.svo.voxelize import VoxelizeJob
-from voxtool.tiles.merging import MergingJob
-from voxtool.tiles.windows import (
-    Content,
-    Part,
-    WindowsJob,
-    WindowsPlan,
-    shape_of,
-    stored_bytes,
-)
+from voxtool.tiles.subtree import shape_of
+from voxtool.tiles.windows import Part, Wanted, WindowsJob, WindowsPlan, stored_bytes
+from voxtool.tiles.workers import plan_flood, shared_pieces
 
 OUTSIDE = "outside of window"  # as progress says it
 ROOT = np.zeros(1, np.uint32)  # of a cube that is one piece
@@ -46,6 +39,8 @@ class FloodPlan(WindowsPlan):
     def cost(self) -> Cost:
         """The predicted bytes of the largest window, and of what all windows share."""
         cost = super().cost
+        if self.workers or self.merged:
+            return cost
         pieces = 0.0
         for part in self.root.windows():
             if part.plan:
@@ -57,24 +52,32 @@ class FloodPlan(WindowsPlan):
     @property
     def disk(self) -> int:
         """Predicted bytes of the file, and at most of the windows that wait for it."""
-        return stored_bytes(self.whole)
+        return 0 if self.merged else stored_bytes(self.whole)
 
 
-class Flooding(WindowsJob):
-    """A flood that runs window by window."""
+class FloodWindowsJob(WindowsJob):
+    """A flood that runs window by window. This process plans the windows, and decides which pieces
+    of free space are outside."""
 
-    def __init__(self, whole: VoxelizeJob) -> None:
-        gap = whole.plan.gap
+    plan_type = FloodPlan
+    planner = staticmethod(plan_flood)
+    leaves_plans = False
+
+    def _take_over(self) -> None:
+        super()._take_over()
+        gap = self.whole.plan.gap
         self.least = flood_block(0, gap)
         self._margin = self.least + flood_steps(gap) + CELL
-        super().__init__(whole)
 
     def _faces_of(self, key: Key, faces: np.ndarray) -> np.ndarray:
         return self._faces_near(key, faces, self._margin, rows=False)
 
-    def _job(self, key: Key, faces: np.ndarray) -> FloodWindowJob:
-        mesh, memory = self._mesh_of(faces), self.max_memory
-        return FloodWindowJob(mesh, self.grid, self.whole.plan, key, self.device, memory)
+    def _given(self, faces: np.ndarray) -> tuple[Any, ...]:
+        return self._mesh_of(faces), self.grid, self.whole.plan
+
+    def _needs_to_share(self, wanted: Wanted) -> tuple[Any, ...]:
+        key, faces = wanted
+        return self.planner, key, *self._given(faces)
 
     def _prepare(self) -> None:
         """Find out what is outside, of all windows and of the cubes between them."""
@@ -86,7 +89,9 @@ class Flooding(WindowsJob):
             for other in np.flatnonzero(beside).tolist():
                 found.link(i, ROOT, i + 1 + other)
         origin = window_frame(self.grid.shape, self.root, self.whole.plan.gap).corner
-        for key, shared in self._shares():
+        windows = self._windows(self.plan.root, self.all_faces)
+        given = self._needs_to_share, windows, partial(self._report, OUTSIDE)
+        for (key, _), shared in self.executor.results(shared_pieces, *given):
             numbers[key] = number = found.add(shared)
             first, side = cubes_of(shared.keys)
             first -= origin
@@ -101,14 +106,6 @@ class Flooding(WindowsJob):
         states = (EMPTY if len(part) else FULL for part in roots)
         self._states = dict(zip(map(tuple, boxes.tolist()), states, strict=False))
 
-    def _shares(self) -> Iterator[tuple[Key, Shared]]:
-        """Yield all windows, with the pieces of free space that they share with others."""
-        for key, faces in self._every(self.plan.root, self.all_faces):
-            self._report(OUTSIDE)
-            with self.device.reporting(lambda _: None):  # not the stages within
-                shared = self._job(key, faces).shared()
-            yield key, shared
-
     def _cubes(self, part: Part, found: Outside) -> np.ndarray:
         """Add the cubes that no face reaches as one piece each; return their corners and sides."""
         if part.window or min(shape_of(part.key, self.grid)) <= 0:
@@ -121,36 +118,8 @@ class Flooding(WindowsJob):
         found.add(Shared(*none, ROOT if beyond else ROOT[:0], 1))
         return np.array([part.key])
 
-    def _every(self, part: Part, faces: np.ndarray) -> Iterator[tuple[Key, np.ndarray]]:
-        """Yield all windows, with the faces that reach them."""
-        faces = self._faces_of(part.key, faces)
-        if part.window:
-            yield part.key, faces
-        for half in part.parts:
-            yield from self._every(half, faces)
-
-    def _content(self, key: Key, faces: np.ndarray) -> Content:
-        return filled(self._job(key, faces), self._outside[key])
+    def _outside_of(self, key: Key) -> np.ndarray:
+        return self._outside[key]
 
     def _leaf(self, key: Key) -> int:
         return self._states.get(key, EMPTY)
-
-
-def filled(job: FloodWindowJob, outside: np.ndarray) -> Content:
-    """Return the content of a window, given the roots of its pieces that are outside."""
-    levels, bricks = job.fill(outside)
-    voxels = int(np.bitwise_count(bricks).sum(dtype=np.int64))
-    for number, states in enumerate(levels[::-1], 1):
-        voxels += int(np.count_nonzero(states == FULL)) * (BRICK_SIDE << number) ** 3
-    return levels, bricks, voxels
-
-
-class FloodWindowsJob(Flooding):
-    """A flood whose windows wait on disk until the octree is written."""
-
-    def _plan(self) -> FloodPlan:
-        return FloodPlan(self._whole_plan, self._divide(self.root, self.all_faces))
-
-
-class FloodMergingJob(Flooding, MergingJob):
-    """A flood each window of which is merged at once."""

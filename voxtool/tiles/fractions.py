@@ -9,7 +9,7 @@ which wait, too, until the bars along x are made.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -41,16 +41,14 @@ from voxtool.svo.voxelize import Window as Box
 from voxtool.tiles.bars import Cube, attributes_within, cubes_along
 from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.octree import BlockOctree
+from voxtool.tiles.subtree import LEAST, MARGIN, halves_of, shape_of
 from voxtool.tiles.windows import (
-    LEAST,
-    MARGIN,
+    SHARE,
     Part,
+    Wanted,
     WindowsJob,
     WindowsPlan,
-    halves_of,
-    mesh_of,
     sets_nothing,
-    shape_of,
 )
 
 AXES = "xyz"
@@ -84,7 +82,7 @@ class BarsPlan(WindowsPlan):
 
     bars: tuple[Bar, ...] = ()
     shares: int = 0  # predicted bytes of shares of faces that wait
-    makers = "one after the other"  # how they are made, in the rows
+    unplanned = False  # pyright: ignore[reportAssignmentType]
 
     @property
     def count(self) -> int:
@@ -111,21 +109,23 @@ class BarsPlan(WindowsPlan):
 
 
 class BarsJob(WindowsJob):
-    """A voxelization that runs bar by bar.
+    """A voxelization that runs bar by bar. This process plans the bars.
 
-    Subclasses say what the job of a bar is, and what its windows are.
+    Subclasses say how a bar is planned and made, and from what.
     """
 
     plan: BarsPlan
     axes: tuple[int, ...] = (0,)  # along which there are bars; x is the last
+    bar_planner: Callable[..., Any]  # returns the job of a bar, None if it is empty
+    bar_maker: Callable[..., Iterator[tuple[Key, Window]]]  # yields its cubes
 
     @abstractmethod
-    def _bar_job(self, faces: np.ndarray, box: Box) -> Any:
-        """Return the job of a bar, given the faces that can change it; None if it is empty."""
+    def _given_for(self, bar: Bar) -> tuple[Any, ...]:
+        """Return what a bar is planned from."""
 
-    @abstractmethod
-    def _cubes(self, bar: Bar) -> Iterator[Window]:
-        """Make a bar; yield its cubes as windows."""
+    def _needs_of(self, bar: Bar) -> tuple[Any, ...]:
+        """Return what a bar is made from."""
+        return replace(bar, plan=None), *self._given_for(bar)
 
     @abstractmethod
     def _everywhere(self) -> np.ndarray:
@@ -134,7 +134,7 @@ class BarsJob(WindowsJob):
     # ---- the plan
 
     def _plan(self) -> BarsPlan:
-        side = self._widest()
+        side = self._widest_bar()
         while (bars := self._bars(side)) is None:
             side //= 2
         along_x = {bar.key[1:3]: bar.plan for bar in bars if not bar.axis}
@@ -148,11 +148,17 @@ class BarsJob(WindowsJob):
             return Part(key, window=plan is not None, plan=None if key[0] else plan)
 
         shares = sum(8 * bar.plan.touched for bar in bars if bar.axis)
-        return BarsPlan(self._whole_plan, part_of(self.root), tuple(bars), shares)
+        workers = self.executor.workers
+        return BarsPlan(
+            self.asked.plan, part_of(self.root), workers, bars=tuple(bars), shares=shares
+        )
 
-    def _widest(self) -> int:
-        """Return how many voxels wide bars may be."""
-        return self.grid.side
+    def _widest_bar(self) -> int:
+        """Return a width at which there are enough bars for the workers."""
+        side, (_, y, z) = self.grid.side, self.grid.shape
+        while side > LEAST and -(-y // side) * -(-z // side) < SHARE * self.executor.workers:
+            side //= 2
+        return side
 
     def _bars(self, side: int) -> list[Bar] | None:
         """Return the bars that are not empty, or None if one does not fit."""
@@ -179,8 +185,9 @@ class BarsJob(WindowsJob):
 
     def _job_of(self, bar: Bar) -> Any:
         """Return the job of a bar, or None if it is empty."""
-        faces = self._faces_of_bar(bar)
-        return self._bar_job(faces, bar.box(self.grid)) if len(faces) else None
+        if not len(self._faces_of_bar(bar)):
+            return None
+        return self.here.call(self.bar_planner, (bar, *self._given_for(bar)))
 
     def _faces_of_bar(self, bar: Bar) -> np.ndarray:
         """Return the faces that can change a bar: those near it, and those before it along x."""
@@ -194,7 +201,7 @@ class BarsJob(WindowsJob):
 
     # ---- the work
 
-    def _make(self, missing: Iterable[Any]) -> None:
+    def _make(self, missing: Iterable[Wanted]) -> None:
         """Make the bars along x; their cubes wait on disk."""
         along_x = [bar for bar in self.plan.bars if not bar.axis]
         self._done = len(self.plan.bars) - len(along_x)
@@ -208,104 +215,46 @@ class BarsJob(WindowsJob):
         return missing
 
     def _make_bars(self, bars: Sequence[Bar], store: Store) -> None:
-        """Make bars along one axis; their cubes wait in a store."""
-        for bar in bars:
-            self._report()
-            with self.device.reporting(lambda _: None):  # not the stages within
-                for key, cube in zip(bar.cubes(self.grid.shape), self._cubes(bar), strict=True):
-                    store.put(key, cube)
+        """Have bars along one axis made; their cubes wait in a store."""
+        left = self.executor.make(self.bar_maker, self._needs_of, bars, store, self._report)
+        assert not list(left)  # they were planned
 
     def _report(self, what: str = "bar") -> None:
         super()._report(what)
 
 
-class FractionWindowsJob(BarsJob):
-    """A voxelization into fractions that runs bar by bar."""
-
-    whole: Any
-
-    def __init__(self, whole: FractionJob) -> None:
-        self._volumes = whole.volumes  # which need the mesh on the device
-        self.axes = (1, 2, 0) if whole.plan.faces else (0,)
-        super().__init__(whole)  # pyright: ignore[reportArgumentType]
-
-    def _free(self) -> None:
-        del self.whole.solid.lattice
-
-    @property
-    def request(self) -> dict[str, Any]:
-        """The content and the rule of the octree that is made, in JSON types."""
-        content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
-        plan = self.whole.plan
-        rules = {"mode": MODE, "fill": plan.solid.rule, "kind": plan.kind, "faces": plan.faces}
-        return {"content": content, **rules, LATTICE_BITS: plan.solid.bits}
-
-    @property
-    def _rule(self) -> tuple[str, str]:
-        return MODE, self.whole.plan.solid.rule
-
-    def _scene(self) -> dict[str, Any]:
-        return self.whole.scene()
-
-    def _kinds(self) -> Sequence[Attribute]:
-        return without_values(self.whole.plan.kind, faces=self.whole.plan.faces)
-
-    def _everywhere(self) -> np.ndarray:
-        return self.all_faces[: None if self.whole.plan.solid.fill == "winding" else 0]
-
-    def _bar_job(self, faces: np.ndarray, box: Box) -> FractionJob | None:
-        mesh = mesh_of(self.mesh, faces)
-        return fraction_job(mesh, self.grid, box, self._volumes, self.device, self._options)
-
-    @property
-    def _options(self) -> dict[str, Any]:
-        """The options of each bar's voxelization."""
-        plan = self.whole.plan
-        rules = {"fill": plan.solid.fill, "kind": plan.kind, "faces": plan.faces}
-        return {**rules, "bits": plan.solid.bits, "max_memory": self.max_memory}
-
-    def _prepare(self) -> None:
-        """Find the shares of faces across y and z."""
-        self._done = 0
-        self._shares = {axis: self.store.beside(AXES[axis]) for axis in self.axes[:-1]}
-        for axis, store in self._shares.items():
-            bars = [bar for bar in self.plan.bars if bar.axis == axis]
-            self._make_bars(self._not_in(store, bars), store)
-
-    def _cubes(self, bar: Bar) -> Iterator[Window]:
-        job = self._job_of(bar)
-        if bar.axis:
-            return face_cubes(job, bar)
-        return fraction_cubes(job, bar, map(self._pairs, bar.cubes(self.grid.shape)))
-
-    def _pairs(self, key: Key) -> list[np.ndarray]:
-        """Return what waits of the shares of faces of a cube, across y and across z."""
-        found = []
-        for store in self._shares.values():
-            stored = store.bricks(key) if key in store else ()  # of a bar without faces
-            found.append(np.concatenate([np.empty(0, np.uint64), *stored]))
-        return found
-
-    def findings(self, octree: BlockOctree) -> Iterator[str]:
-        """Yield warnings, those of the octree in one piece."""
-        stores = {0: self.store, **self._shares}
-        self.whole.disagreements = sum(stores[bar.axis].known(bar.key) for bar in self.plan.bars)
-        return self.whole.findings(octree)
-
-
-def fraction_job(
+def plan_bar(
+    device: Device,
+    max_memory: int | None,
+    bar: Bar,
     mesh: Mesh,
     grid: Grid,
-    box: Box,
     volumes: Volumes,
-    device: Device,
     options: dict[str, Any],
 ) -> FractionJob | None:
     """Return the job of a bar, given the faces that can change it and the volumes of the whole
     mesh; None if it is empty."""
-    job = plan_fractions(mesh, grid, window=box, device=device, **options)
+    place: dict[str, Any] = {"window": bar.box(grid), "device": device, "max_memory": max_memory}
+    job = plan_fractions(mesh, grid, **place, **options)
     job.volumes = volumes
     return None if sets_nothing(job.solid.plan) else job
+
+
+def make_bar(
+    device: Device,
+    max_memory: int | None,
+    pairs: list[list[np.ndarray]],
+    bar: Bar,
+    mesh: Mesh,
+    grid: Grid,
+    *given: Any,
+) -> Iterator[tuple[Key, Window]]:
+    """Yield the cubes of a bar with their keys: with shares of faces of a bar along y or z, with
+    fractions of one along x, given the shares of the faces of its cubes."""
+    job = plan_bar(device, max_memory, bar, mesh, grid, *given)
+    assert job is not None  # it was planned
+    cubes = face_cubes(job, bar) if bar.axis else fraction_cubes(job, bar, pairs)
+    return zip(bar.cubes(grid.shape), cubes, strict=True)
 
 
 def face_cubes(job: FractionJob, bar: Bar) -> Iterator[Window]:
@@ -358,10 +307,135 @@ def _cut(touched: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return np.packbits(bits, axis=1, bitorder="little").view(np.uint64).ravel()
 
 
+class FractionWindowsJob(BarsJob):
+    """A voxelization into fractions that runs bar by bar."""
+
+    whole: Any
+    bar_planner = staticmethod(plan_bar)
+    bar_maker = staticmethod(make_bar)
+
+    def _take_over(self) -> None:
+        self._volumes = self.whole.volumes  # which need the mesh on the device
+        self.axes = (1, 2, 0) if self.whole.plan.faces else (0,)
+        del self.whole.solid.lattice
+
+    @property
+    def _request(self) -> dict[str, Any]:
+        """The content and the rule of the octree that is made, in JSON types."""
+        content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
+        plan = self.whole.plan
+        rules = {"mode": MODE, "fill": plan.solid.rule, "kind": plan.kind, "faces": plan.faces}
+        return {"content": content, **rules, LATTICE_BITS: plan.solid.bits}
+
+    @property
+    def _rule(self) -> tuple[str, str]:
+        return MODE, self.whole.plan.solid.rule
+
+    def _scene(self) -> dict[str, Any]:
+        return self.whole.scene()
+
+    def _kinds(self) -> Sequence[Attribute]:
+        return without_values(self.whole.plan.kind, faces=self.whole.plan.faces)
+
+    def _everywhere(self) -> np.ndarray:
+        return self.all_faces[: None if self.whole.plan.solid.fill == "winding" else 0]
+
+    @property
+    def _is_wound(self) -> bool:
+        return self.whole.plan.solid.fill == "winding"
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        """The options of each bar's voxelization."""
+        plan = self.whole.plan
+        rules = {"fill": plan.solid.fill, "kind": plan.kind, "faces": plan.faces}
+        return {**rules, "bits": plan.solid.bits}
+
+    def _given_for(self, bar: Bar) -> tuple[Any, ...]:
+        mesh = self._mesh_of(self._faces_of_bar(bar))
+        return mesh, self.grid, self._volumes, self._options
+
+    def _needs_of(self, bar: Bar) -> tuple[Any, ...]:
+        pairs = [] if bar.axis else [self._pairs(key) for key in bar.cubes(self.grid.shape)]
+        return pairs, *super()._needs_of(bar)
+
+    def _prepare(self) -> None:
+        """Find the shares of faces across y and z."""
+        self._done = 0
+        self._shares = {axis: self.store.beside(AXES[axis]) for axis in self.axes[:-1]}
+        for axis, store in self._shares.items():
+            bars = [bar for bar in self.plan.bars if bar.axis == axis]
+            self._make_bars(self._not_in(store, bars), store)
+
+    def _pairs(self, key: Key) -> list[np.ndarray]:
+        """Return what waits of the shares of faces of a cube, across y and across z."""
+        found = []
+        for store in self._shares.values():
+            stored = store.bricks(key) if key in store else ()  # of a bar without faces
+            found.append(np.concatenate([np.empty(0, np.uint64), *stored]))
+        return found
+
+    def findings(self, octree: BlockOctree) -> Iterator[str]:
+        """Yield warnings, those of the octree in one piece."""
+        stores = {0: self.store, **self._shares}
+        self.whole.disagreements = sum(stores[bar.axis].known(bar.key) for bar in self.plan.bars)
+        return self.whole.findings(octree)
+
+
+def plan_part_bar(
+    device: Device,
+    max_memory: int | None,
+    bar: Bar,
+    parts: PartsOfWindows,
+    faces: np.ndarray,
+    volumes: dict[int, Volumes],
+) -> PartFractionsJob | None:
+    """Return the job of a bar, given the faces that can change it and the volumes of the whole
+    parts; None if it is empty."""
+    own, jobs, alone = parts.own.some(faces), [], []
+    plan: Any = parts.plan
+    for part in own.parts.tolist():
+        options = {"fill": parts.rules[part][0], "bits": plan.bits}
+        given = own.alone(part, parts.mesh), parts.grid, volumes[part], options
+        job = plan_bar(device, max_memory, bar, *given)
+        if job is not None:
+            jobs.append(job)
+            alone.append((part, ""))
+    if not jobs:
+        return None
+    plan = replace(plan, alone=tuple(alone), inner=tuple(job.plan for job in jobs))
+    window = parts.grid.window(*bar.box(parts.grid))
+    return PartFractionsJob(
+        parts.mesh, window, own, parts.ranks, None, jobs, plan, device, max_memory
+    )
+
+
+def make_part_bar(
+    device: Device, max_memory: int | None, bar: Bar, parts: PartsOfWindows, *given: Any
+) -> Iterator[tuple[Key, Window]]:
+    """Yield the cubes of a bar with labels and fractions, with their keys."""
+    job = plan_part_bar(device, max_memory, bar, parts, *given)
+    assert job is not None  # it was planned
+    return zip(bar.cubes(parts.grid.shape), part_cubes(job, bar), strict=True)
+
+
+def part_cubes(job: PartFractionsJob, bar: Bar) -> Iterator[Window]:
+    """Make a bar; yield its cubes."""
+    octree = job._run()
+    parts = [part for part, _ in job.plan.alone]
+    wrong = [[part, one.disagreements] for part, one in zip(parts, job.jobs, strict=True)]
+    for cube in cubes_along(octree, bar.key[3], 0):
+        bricks = octree.bricks[cube.first : cube.last]
+        yield cube.window(bricks, attributes_within(octree, cube), wrong)
+        wrong = []
+
+
 class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
     """A voxelization with labels and fractions that runs bar by bar."""
 
     whole: PartFractionsJob
+    bar_planner = staticmethod(plan_part_bar)
+    bar_maker = staticmethod(make_part_bar)
 
     def _free(self) -> None:
         self._volumes = {}
@@ -373,10 +447,10 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
         return np.flatnonzero(self._wound)
 
     @property
-    def request(self) -> dict[str, Any]:
+    def _request(self) -> dict[str, Any]:
         """The content and the rules of the octree that is made, in JSON types."""
         plan = self.whole.plan
-        return {**super().request, "kind": plan.kind, LATTICE_BITS: plan.bits}
+        return {**super()._request, "kind": plan.kind, LATTICE_BITS: plan.bits}
 
     @property
     def _rule(self) -> tuple[str, str]:
@@ -385,12 +459,8 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
     def _kinds(self) -> Sequence[Attribute]:
         return (*super()._kinds(), *without_values(self.whole.plan.kind, faces=False))
 
-    def _bar_job(self, faces: np.ndarray, box: Box) -> PartFractionsJob | None:
-        place = self.device, self.max_memory
-        return part_fraction_job(self._parts, faces, box, self._volumes, *place)
-
-    def _cubes(self, bar: Bar) -> Iterator[Window]:
-        return part_fraction_cubes(self._job_of(bar), bar)
+    def _given_for(self, bar: Bar) -> tuple[Any, ...]:
+        return *self._given(self._faces_of_bar(bar)), self._volumes
 
     def findings(self, octree: BlockOctree) -> Iterator[str]:
         """Yield warnings, those of the octree in one piece."""
@@ -402,42 +472,3 @@ class PartFractionWindowsJob(BarsJob, LabelWindowsJob):
         for (part, _), job in zip(self.whole.plan.alone, self.whole.jobs, strict=True):
             job.disagreements = wrong[part]
             yield from job.wrong()
-
-
-def part_fraction_job(
-    parts: PartsOfWindows,
-    faces: np.ndarray,
-    box: Box,
-    volumes: dict[int, Volumes],
-    device: Device,
-    max_memory: int | None,
-) -> PartFractionsJob | None:
-    """Return the job of a bar, given the faces that can change it and the volumes of the whole
-    parts; None if it is empty."""
-    own, jobs, alone = parts.own.some(faces), [], []
-    plan: Any = parts.plan
-    for part in own.parts.tolist():
-        options = {"fill": parts.rules[part][0], "bits": plan.bits, "max_memory": max_memory}
-        mesh = own.alone(part, parts.mesh)
-        job = fraction_job(mesh, parts.grid, box, volumes[part], device, options)
-        if job is not None:
-            jobs.append(job)
-            alone.append((part, ""))
-    if not jobs:
-        return None
-    plan = replace(plan, alone=tuple(alone), inner=tuple(job.plan for job in jobs))
-    window = parts.grid.window(*box)
-    return PartFractionsJob(
-        parts.mesh, window, own, parts.ranks, None, jobs, plan, device, max_memory
-    )
-
-
-def part_fraction_cubes(job: PartFractionsJob, bar: Bar) -> Iterator[Window]:
-    """Make a bar; yield its cubes."""
-    octree = job._run()
-    parts = [part for part, _ in job.plan.alone]
-    wrong = [[part, one.disagreements] for part, one in zip(parts, job.jobs, strict=True)]
-    for cube in cubes_along(octree, bar.key[3], 0):
-        bricks = octree.bricks[cube.first : cube.last]
-        yield cube.window(bricks, attributes_within(octree, cube), wrong)
-        wrong = []

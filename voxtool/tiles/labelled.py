@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from voxtool.arrays import digest_of
 from voxtool.errors import OnePieceError
-from voxtool.files.windows import Key, Window
+from voxtool.files.windows import Key
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.labels import PartLabelsJob, fill_of
 from voxtool.svo.attribution.labels_window import PartsOfWindows
 from voxtool.tiles.octree import BlockOctree
-from voxtool.tiles.windows import MARGIN, WindowsJob, attributed, shape_of
+from voxtool.tiles.spread import Sent
+from voxtool.tiles.subtree import MARGIN
+from voxtool.tiles.windows import WindowsJob
+from voxtool.tiles.workers import plan_labels
 
 
 class LabelWindowsJob(WindowsJob):
     """A voxelization with labels that runs window by window."""
 
-    whole: PartLabelsJob  # pyright: ignore[reportIncompatibleVariableOverride]
+    whole: PartLabelsJob
+    planner = staticmethod(plan_labels)
 
-    def __init__(self, whole: PartLabelsJob) -> None:
+    def _take_over(self) -> None:
+        whole = self.whole
         self._parts = PartsOfWindows.of(whole)
         self._wound = self._parts.with_rule("winding")
         flooded = np.flatnonzero(self._parts.with_rule("flood"))
@@ -32,14 +38,14 @@ class LabelWindowsJob(WindowsJob):
                 f"part {name} is filled by flood, which is not made in windows beside other parts: "
                 "allow more (see --max-memory), choose another --fill, or voxelize it by itself"
             )
-        super().__init__(whole)  # pyright: ignore[reportArgumentType]
+        self._free()
 
     def _free(self) -> None:
         for job in self.whole.jobs:
             del job.lattice
 
     @property
-    def request(self) -> dict[str, Any]:
+    def _request(self) -> dict[str, Any]:
         """The content and the rules of the octree that is made, in JSON types."""
         whole, own = self.whole, self._parts.own
         fills = [self._parts.rules[part][0] for part in own.parts.tolist()]
@@ -58,15 +64,20 @@ class LabelWindowsJob(WindowsJob):
         wound = faces[self._wound[faces]]
         return np.union1d(near, wound) if len(wound) else near
 
-    def _job(self, key: Key, faces: np.ndarray) -> Any:
-        window = key[:3], shape_of(key, self.grid)
-        return self._parts.job(faces, window, self.device, self.max_memory)
+    @cached_property
+    def _sent_parts(self) -> Sent:
+        """All parts, with what windows need of them."""
+        return Sent(self._parts.sent(self.all_faces) if self.executor.workers else self._parts)
+
+    def _given(self, faces: np.ndarray) -> tuple[Any, ...]:
+        """Return the parts of some faces, and their numbers there. Workers are sent all parts once
+        if some are filled by their winding number, as windows take these wholly."""
+        if self.executor.workers and not self._wound.any():
+            return self._parts.sent(faces), np.arange(len(faces))
+        return self._sent_parts, faces
 
     def _sets_nothing(self, job: PartLabelsJob) -> bool:
         return not job.jobs
-
-    def _finished(self, key: Key, faces: np.ndarray) -> Window:
-        return attributed(self._job(key, faces)._run(), key[3])
 
     def _kinds(self) -> Sequence[Attribute]:
         none = np.empty(0, self.whole.plan.dtype)

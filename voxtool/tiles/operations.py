@@ -28,8 +28,16 @@ from voxtool.svo.content import OctreeContent
 from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.octree import Octree
 from voxtool.tiles.octree import BlockOctree
-from voxtool.tiles.subtree import Subtree, joined, leaf_subtree, subtree_of
-from voxtool.tiles.windows import disk_row, halves_of, refuse_smallest, shape_of
+from voxtool.tiles.subtree import (
+    Subtree,
+    disk_row,
+    halves_of,
+    joined,
+    leaf_subtree,
+    refuse_smallest,
+    shape_of,
+    subtree_of,
+)
 
 LEAST = 64  # voxels along a side of a window
 MOST = 256  # windows along a side of the grid

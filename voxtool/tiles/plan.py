@@ -9,83 +9,50 @@ from voxtool.svo.attribution.fraction import FractionJob
 from voxtool.svo.attribution.labels import PartLabelsJob
 from voxtool.svo.attribution.part_fractions import PartFractionsJob
 from voxtool.svo.connected.about import refuse_windows
-from voxtool.tiles.attributed import (
-    AttributeWindowsJob,
-    FloodAttributeWindowsJob,
-    LabelAttributeWindowsJob,
-)
-from voxtool.tiles.flooding import FloodMergingJob, FloodWindowsJob
+from voxtool.tiles.flooding import FloodWindowsJob
 from voxtool.tiles.fractions import FractionWindowsJob, PartFractionWindowsJob
 from voxtool.tiles.labelled import LabelWindowsJob
-from voxtool.tiles.merging import MergingJob
-from voxtool.tiles.spread import (
-    SpreadAttributeJob,
-    SpreadFloodAttributeJob,
-    SpreadFloodJob,
-    SpreadFloodMergingJob,
-    SpreadJob,
-    SpreadLabelAttributeJob,
-    SpreadLabelJob,
-    SpreadMergingJob,
-)
-from voxtool.tiles.spread_bars import SpreadBarsJob, SpreadFractionJob, SpreadPartFractionJob
+from voxtool.tiles.spread import Executor, Workers
 from voxtool.tiles.windows import WindowsJob
 
 if TYPE_CHECKING:
     from distributed import Client
 
 
-def plan_windows(whole: Any, *, merged: bool = False) -> WindowsJob:
+def plan_windows(
+    whole: Any, executor: Executor | None = None, *, merged: bool = False
+) -> WindowsJob:
     """Return the job in windows of a voxelization, which may have attributes; with `merged` one
     that merges subtrees. Raises MemoryLimitError if the smallest windows do not fit, and
-    OnePieceError if something is not made in windows."""
+    OnePieceError if something is not made in windows.
+
+    Parameters
+    ----------
+    executor : what makes the windows; by default this process.
+    """
     refuse_windows(whole.plan)
-    if isinstance(whole, SurfaceAttributesJob):
-        if isinstance(whole.inner, PartLabelsJob):
-            return LabelAttributeWindowsJob(whole)
-        flooded = whole.inner.plan.fill == "flood"
-        return FloodAttributeWindowsJob(whole) if flooded else AttributeWindowsJob(whole)
-    if isinstance(whole, FractionJob):
-        return FractionWindowsJob(whole)
-    if isinstance(whole, PartFractionsJob):
-        return PartFractionWindowsJob(whole)
-    if isinstance(whole, PartLabelsJob):
-        return LabelWindowsJob(whole)
-    if whole.plan.fill == "flood":
-        return FloodMergingJob(whole) if merged else FloodWindowsJob(whole)
-    return MergingJob(whole) if merged else WindowsJob(whole)
+    octree = whole.inner if isinstance(whole, SurfaceAttributesJob) else whole
+    return _kind_of(octree)(whole, executor, merged=merged)
 
 
 def plan_spread(
     whole: Any, client: Client, device_name: str | None = None, *, merged: bool = False
-) -> SpreadJob | SpreadBarsJob:
-    """Return the job of a voxelization, which may have attributes, whose windows the workers of a
-    cluster make; with `merged` one that merges subtrees.
+) -> WindowsJob:
+    """Return the job of a voxelization, as `plan_windows` does, whose windows the workers of a
+    cluster make.
 
     Parameters
     ----------
     device_name : the device of a worker, as --device takes it.
-
-    Raises
-    ------
-    OnePieceError
-        If something is not made in windows.
     """
-    refuse_windows(whole.plan)
-    return _kind_of_spread(whole, merged)(whole, client, device_name)
+    return plan_windows(whole, Workers(client, device_name, whole.max_memory), merged=merged)
 
 
-def _kind_of_spread(whole: Any, merged: bool) -> type[SpreadJob | SpreadBarsJob]:
-    if isinstance(whole, SurfaceAttributesJob):
-        if isinstance(whole.inner, PartLabelsJob):
-            return SpreadLabelAttributeJob
-        return SpreadFloodAttributeJob if whole.inner.plan.fill == "flood" else SpreadAttributeJob
+def _kind_of(whole: Any) -> type[WindowsJob]:
     if isinstance(whole, FractionJob):
-        return SpreadFractionJob
+        return FractionWindowsJob
     if isinstance(whole, PartFractionsJob):
-        return SpreadPartFractionJob
+        return PartFractionWindowsJob
     if isinstance(whole, PartLabelsJob):
-        return SpreadLabelJob
-    if whole.plan.fill == "flood":
-        return SpreadFloodMergingJob if merged else SpreadFloodJob
-    return SpreadMergingJob if merged else SpreadJob
+        return LabelWindowsJob
+    return FloodWindowsJob if whole.plan.fill == "flood" else WindowsJob

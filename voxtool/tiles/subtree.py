@@ -13,9 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voxtool.errors import MemoryLimitError, human
+from voxtool.files.windows import Key
+from voxtool.grid import Grid
+from voxtool.morton import morton_decode
 from voxtool.svo.layout import BRICK_SIDE, descend
 from voxtool.svo.links import EMPTY, FULL, REFINED, level_states
 from voxtool.svo.octree import Octree
+from voxtool.svo.plan import NODE_BLOCK
+
+LEAST = NODE_BLOCK  # voxels along a side of a window
+MARGIN = 8  # voxels around a window whose faces may reach into its nodes
+CORNERS = morton_decode(np.arange(8, dtype=np.uint64))  # of the eight halves of a cube, in order
 
 
 @dataclass(frozen=True)
@@ -79,6 +88,14 @@ def codes_of(levels: Sequence[np.ndarray]) -> np.ndarray:
     return codes
 
 
+def voxels_of(levels: Sequence[np.ndarray], bricks: np.ndarray) -> int:
+    """Return the number of voxels of a subtree, given the states of its nodes and its bricks."""
+    voxels = int(np.bitwise_count(bricks).sum(dtype=np.int64))
+    for number, states in enumerate(levels[::-1], 1):
+        voxels += int(np.count_nonzero(states == FULL)) * (BRICK_SIDE << number) ** 3
+    return voxels
+
+
 def joined(children: Sequence[Subtree]) -> Subtree:
     """Return the subtree of eight, in Morton order: a leaf if all of them are empty, or full."""
     roots, *below = _by_level([child.levels for child in children])
@@ -94,3 +111,29 @@ def joined(children: Sequence[Subtree]) -> Subtree:
 def _by_level(parts: Sequence[tuple[np.ndarray, ...]]) -> list[np.ndarray]:
     """Return arrays of several subtrees, by level, as one for each level."""
     return [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+
+
+def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
+    """Return the voxels of a window along each axis."""
+    x, y, z = (min(key[3], n - a) for a, n in zip(key[:3], grid.shape, strict=True))
+    return x, y, z
+
+
+def refuse_smallest(key: Key, shortage: str, least: int = LEAST) -> None:
+    """Raise MemoryLimitError if a window that does not fit cannot be divided."""
+    if key[3] <= least:
+        raise MemoryLimitError(
+            f"a window of {key[3]} voxels a side {shortage}: allow more, or choose a smaller dim"
+        )
+
+
+def halves_of(key: Key) -> list[Key]:
+    """Return the eight cubes of a cube, in Morton order."""
+    x, y, z, side = key
+    half = side // 2
+    return [(x + half * i, y + half * j, z + half * k, half) for i, j, k in CORNERS.tolist()]
+
+
+def disk_row(size: int) -> tuple[str, str]:
+    """Return the name and the text of the row that `--plan` prints of the disk."""
+    return "disk", f"about {human(size)}, of the file and of windows that wait for it"

@@ -3,8 +3,11 @@
 A window is a subtree of the octree (subtree.py). The grid is halved along its axes until each
 window's plan fits; windows without a triangle that matters to them cost nothing. They are voxelized
 one after the other, in Morton order, each from the faces that can change it, and wait on disk
-(files/windows.py) until the number of nodes of each level is known. A cluster makes them beside one
-another (spread.py).
+(files/windows.py) until the number of nodes of each level is known.
+
+The workers of a cluster make them beside one another, in windows that are enough for all workers.
+A worker plans its window, and one that does not fit comes back, to be halved again. Windows of a
+merged octree are merged where they are made.
 """
 
 from __future__ import annotations
@@ -18,26 +21,40 @@ import numpy as np
 
 from voxtool.arrays import digest_of
 from voxtool.errors import MemoryLimitError, count_of, human
-from voxtool.files.windows import Key, Window, Windows
-from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.files.windows import Key
+from voxtool.grid import FIXED_POINT_BITS
 from voxtool.job import Cost, Job, Plan
-from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.subset import mesh_of
-from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.attributes import Attribute
+from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
 from voxtool.svo.links import EMPTY
+from voxtool.svo.merge import Subtrees, join, no_subtrees
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
-from voxtool.svo.plan import NODE_BLOCK, VoxelizePlan
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+from voxtool.svo.plan import VoxelizePlan
+from voxtool.tiles.attributed import SurfaceOfWindows
+from voxtool.tiles.merging import merging_bytes, merging_shortage, subtrees_of
 from voxtool.tiles.octree import BlockAttribute, BlockOctree
-from voxtool.tiles.subtree import Subtree, joined, labels_by_level, leaf_subtree, subtree_of
+from voxtool.tiles.spread import Executor, Here, Sent
+from voxtool.tiles.subtree import (
+    LEAST,
+    MARGIN,
+    Subtree,
+    depth_of,
+    disk_row,
+    halves_of,
+    joined,
+    labels_by_level,
+    leaf_subtree,
+    refuse_smallest,
+    shape_of,
+)
+from voxtool.tiles.workers import make_window, plan_plain, plan_window
 
-LEAST = NODE_BLOCK  # voxels along a side of a window
-MARGIN = 8  # voxels around a window whose faces may reach into its nodes
-Content = tuple[Sequence[np.ndarray], np.ndarray, int]
-CORNERS = morton_decode(np.arange(8, dtype=np.uint64))  # of the eight halves of a cube, in order
+SHARE = 8  # windows of a worker, at least, so that all of them end at about the same time
+Wanted = tuple[Key, np.ndarray]  # a window, and the faces that can change it
 
 
 @dataclass(frozen=True)
@@ -63,6 +80,20 @@ class WindowsPlan(Plan):
 
     whole: Any  # the plan of the job in one piece
     root: Part
+    workers: int = 0  # of a cluster, which make them; 0: this process
+    merged: bool = False
+
+    @property
+    def unplanned(self) -> bool:
+        """Whether workers plan the windows, so that predictions are those of one piece."""
+        return self.workers > 0
+
+    @property
+    def makers(self) -> str:
+        """The words of the rows that say who makes the windows."""
+        if self.workers:
+            return f"made by {count_of(self.workers, 'worker')} of Dask"
+        return "one after the other"
 
     @property
     def count(self) -> int:
@@ -76,7 +107,9 @@ class WindowsPlan(Plan):
 
     @property
     def stages(self) -> list[str]:
-        return list(dict.fromkeys(stage for plan in self.plans for stage in plan.stages))
+        plans = [self.whole] if self.unplanned else self.plans
+        stages = dict.fromkeys(stage for plan in plans for stage in plan.stages)
+        return [*stages, *["merge subtrees"] * self.merged]
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -84,93 +117,116 @@ class WindowsPlan(Plan):
 
     @property
     def cost(self) -> Cost:
-        """The predicted bytes of the largest window, and of the states of all nodes."""
+        """The predicted bytes of the largest window, and of the states of all nodes; those of
+        merged subtrees are not known."""
+        if self.unplanned:
+            return Cost(device=0, host=2 * (self.whole.nodes - self.whole.bricks))
         cost = Cost.most(plan.cost for plan in self.plans)
+        if self.merged:
+            return replace(cost, host=max(map(merging_bytes, self.plans), default=0))
         states = sum(plan.nodes - plan.bricks for plan in self.plans)
         return replace(cost, host=cost.host + 2 * states)
 
     @property
     def nodes(self) -> int:
         """Predicted number of nodes of the octree."""
-        return sum(plan.nodes for plan in self.plans)
+        return self.whole.nodes if self.unplanned else sum(plan.nodes for plan in self.plans)
 
     @property
     def disk(self) -> int:
-        """Predicted bytes of the file, and at most of the windows that wait for it."""
-        return sum(stored_bytes(plan) for plan in self.plans)
+        """Predicted bytes of the file, and at most of the windows that wait for it; 0 of merged
+        subtrees, whose number is not known."""
+        plans = [self.whole] if self.unplanned else self.plans
+        return 0 if self.merged else sum(map(stored_bytes, plans))
 
     def as_dict(self) -> dict[str, Any]:
         facts = {"windows": self.count, "predicted_disk_bytes": self.disk}
+        facts |= {"workers": self.workers} if self.workers else {}
         costs = {"predicted_device_bytes": self.cost.device}
         return {**self.whole.as_dict(), **facts, **costs}
 
     def rows(self) -> list[tuple[str, str]]:
         sides = sorted({part.key[3] for part in self.root.windows()})
-        wide = f"of {' to '.join(str(side) for side in sorted({sides[0], sides[-1]}))} voxels"
-        count = count_of(self.count, "window")
+        ends = " to ".join(dict.fromkeys(map(str, sides[:1] + sides[-1:])))
+        wide = "" if self.unplanned else f" of {ends} voxels a side"
         return [
-            *self._rows_of_whole(),
-            ("windows", f"{count} {wide} a side, one after the other"),
-            disk_row(self.disk),
+            *(row for row in self.whole.rows() if row[0] not in ("octree", "work")),
+            ("windows", f"{count_of(self.count, 'window')}{wide}, {self.makers}"),
+            *[disk_row(self.disk)] * (not self.merged),
         ]
 
-    def _rows_of_whole(self) -> list[tuple[str, str]]:
-        """Return the rows of the job in one piece that hold for its windows, too."""
-        return [row for row in self.whole.rows() if row[0] not in ("octree", "work")]
-
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the octree has too many nodes; every window fits."""
-        if self.nodes >= MAX_LINK:
+        """Raise MemoryLimitError if the octree has too many nodes; every window fits, and links of
+        merged subtrees have 32 bits."""
+        if not self.merged and self.nodes >= MAX_LINK:
             raise MemoryLimitError(
                 f"an octree of about {self.nodes:,} nodes exceeds links of 30 bits: choose a "
                 "smaller dim, or store equal subtrees once (--dag)"
             )
 
 
-def disk_row(size: int) -> tuple[str, str]:
-    """Return the name and the text of the row that `--plan` prints of the disk."""
-    return "disk", f"about {human(size)}, of the file and of windows that wait for it"
+class WindowsJob(Job[Any]):
+    """A voxelization that runs window by window; its result is a BlockOctree or, with `merged`, a
+    MergedOctree.
 
-
-class WindowsJob(Job[BlockOctree]):
-    """A voxelization that runs window by window.
+    Parameters
+    ----------
+    whole : the voxelization in one piece.
+    executor : what makes the windows; by default this process.
+    merged : whether windows are merged at once.
 
     Attributes
     ----------
-    store : Windows
-        Where windows wait; to be set before it runs.
+    store : Windows or None
+        Where windows wait; to be set before it runs, but merged ones may do without.
     """
 
     device: Device
     plan: WindowsPlan
-    store: Windows
+    store: Any = None
     least = LEAST
+    plan_type = WindowsPlan
+    planner = staticmethod(plan_plain)  # of a window's octree
+    leaves_plans = True  # whether workers plan their windows
 
-    def __init__(self, whole: VoxelizeJob) -> None:
+    def __init__(
+        self, whole: Any, executor: Executor | None = None, *, merged: bool = False
+    ) -> None:
+        self.asked, self.surface = whole, None
+        if isinstance(whole, SurfaceAttributesJob):
+            self.surface = SurfaceOfWindows(whole)
+            whole = whole.inner
         whole.settle()
         self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
+        self.here = Here(self.device, self.max_memory)
+        self.executor, self.merged = executor or self.here, merged
+        self._divided: dict[Key, Part] = {}  # windows that did not fit where they were made
         self.grid, self.mesh = whole.grid, whole.mesh
-        self._free()
+        self._take_over()
         self.all_faces = np.arange(len(self.mesh.faces))
         self.root = (0, 0, 0, self.grid.side)
         self.plan = self._plan()
 
-    def _free(self) -> None:
-        """Free the memory of the whole mesh on the device."""
+    def _take_over(self) -> None:
+        """Take what windows need of the job in one piece, and free the memory of the whole mesh on
+        the device."""
         del self.whole.lattice
 
     def _plan(self) -> WindowsPlan:
-        """Return the plan, whose windows all fit."""
-        return WindowsPlan(self._whole_plan, self._divide(self.root, self.all_faces))
-
-    @property
-    def _whole_plan(self) -> Any:
-        """The plan of the job in one piece."""
-        return self.whole.plan
+        """Return the plan; windows that are planned here all fit."""
+        self._widest = self._widest_window()
+        root = self._divide(self.root, self.all_faces)
+        return self.plan_type(self.asked.plan, root, self.executor.workers, self.merged)
 
     @property
     def request(self) -> dict[str, Any]:
-        """The content and the rule of the octree that is made, in JSON types."""
+        """The content and the rules of the octree that is made, in JSON types."""
+        merged = {"merged": True} if self.merged else {}
+        return {**self._request, **merged, **(self.surface.request if self.surface else {})}
+
+    @property
+    def _request(self) -> dict[str, Any]:
+        """The content and the rules of the octree without attributes of its surface."""
         plan = self.whole.plan
         content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
         return {"content": content, "mode": plan.mode, "fill": plan.rule}
@@ -207,9 +263,14 @@ class WindowsJob(Job[BlockOctree]):
         """True if far faces change a window: the mesh is filled by winding numbers, and is open."""
         return self.whole.plan.fill == "winding" and not self.whole.watertight
 
-    def _mesh_of(self, faces: np.ndarray) -> Mesh:
-        """Return the mesh of some faces."""
-        return mesh_of(self.mesh, faces)
+    @functools.cached_property
+    def _sent_mesh(self) -> Sent:
+        """The whole mesh, without what windows do not need of it."""
+        return Sent(replace(self.mesh, parts={}, appearance=None))
+
+    def _mesh_of(self, faces: np.ndarray) -> Any:
+        """Return the mesh of some faces, or the whole one if that is what windows take."""
+        return self._sent_mesh if self._is_wound else mesh_of(self._sent_mesh.value, faces)
 
     @property
     def _options(self) -> dict[str, Any]:
@@ -217,61 +278,97 @@ class WindowsJob(Job[BlockOctree]):
         plan = self.whole.plan
         mode, _, added = plan.mode.partition("+")
         fill = plan.fill if plan.solid else "auto"
-        more = {"max_memory": self.max_memory, "closed": not self._is_wound}
-        return {"mode": mode, "fill": fill, "with_surface": bool(added), **more}
+        more = {"with_surface": bool(added), "closed": not self._is_wound}
+        return {"mode": mode, "fill": fill, **more}
 
-    def _job(self, key: Key, faces: np.ndarray) -> VoxelizeJob:
-        """Return the job of a window."""
-        window = key[:3], shape_of(key, self.grid)
-        mesh = self._mesh_of(faces)
-        return plan_voxelize(mesh, self.grid, window=window, device=self.device, **self._options)
+    def _given(self, faces: np.ndarray) -> tuple[Any, ...]:
+        """Return what the planner takes for a window with these faces."""
+        return self._mesh_of(faces), self.grid, self._options
+
+    def _needs(self, wanted: Wanted) -> tuple[Any, ...]:
+        """Return what a window is planned from, here or by a worker."""
+        key, faces = wanted
+        described = None, None
+        if self.surface:
+            near = self._faces_near(key, faces, MARGIN, rows=False)
+            described = self.surface.described(near)
+        return self.planner, key, *described, *self._given(faces)
+
+    def _needs_to_make(self, wanted: Wanted) -> tuple[Any, ...]:
+        """Return what a window is made from."""
+        return self.merged, self._outside_of(wanted[0]), *self._needs(wanted)
+
+    def _outside_of(self, key: Key) -> np.ndarray | None:
+        """Return which pieces of free space in a window of a flood are outside."""
+        return None
 
     def _sets_nothing(self, job: Any) -> bool:
-        """Return whether a window is empty."""
+        """Return whether the octree of a window is empty."""
         return sets_nothing(job.plan)
-
-    def _complete(self, job: VoxelizeJob, key: Key, faces: np.ndarray) -> Job[Octree]:
-        """Return the job that makes a window, given `job`, which makes its octree alone."""
-        return job
 
     def _shortage(self, job: Any) -> str:
         """Return the memory that a window lacks, as messages say it; "" if it lacks none."""
-        return job.shortage
+        return merging_shortage(job) if self.merged else job.shortage
+
+    def _widest_window(self) -> int:
+        """Return the side of windows that are enough for all workers."""
+        side, parts = self.grid.side, self._reached(self.root, self.all_faces)
+        while 0 < len(parts) < SHARE * self.executor.workers and side > self.least:
+            side //= 2
+            parts = [half for part in parts for half in self._reached_halves(*part)]
+        return side
+
+    def _reached(self, key: Key, faces: np.ndarray) -> list[Wanted]:
+        """Return a cube and its faces as a list, which is empty if no face can change it."""
+        if min(shape_of(key, self.grid)) <= 0:
+            return []
+        faces = self._faces_of(key, faces)
+        return [(key, faces)] if len(faces) else []
+
+    def _reached_halves(self, key: Key, faces: np.ndarray) -> list[Wanted]:
+        return [found for half in halves_of(key) for found in self._reached(half, faces)]
 
     def _divide(self, key: Key, faces: np.ndarray) -> Part:
-        """Return a cube as a window if its plan fits, or in eight."""
-        if min(shape_of(key, self.grid)) <= 0:
+        """Return a cube as a window if its plan fits, or if workers plan it; or in eight."""
+        if not (reached := self._reached(key, faces)):
             return Part(key)
-        faces = self._faces_of(key, faces)
-        if not len(faces):
-            return Part(key)
-        job = self._job(key, faces)
-        if self._sets_nothing(job):
-            return Part(key)
-        made = self._complete(job, key, faces)
-        shortage = self._shortage(made)
-        if not shortage:
-            return Part(key, window=True, plan=made.plan)
-        refuse_smallest(key, shortage, self.least)
+        _, faces = reached[0]
+        if key[3] <= self._widest:
+            if self.executor.workers and self.leaves_plans:
+                return Part(key, window=True)
+            job = self.here.call(plan_window, self._needs((key, faces)))
+            if self._sets_nothing(getattr(job, "inner", job)):
+                return Part(key)
+            shortage = self._shortage(job)
+            if not shortage:
+                return Part(key, window=True, plan=job.plan)
+            refuse_smallest(key, shortage, self.least)
         return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
 
     # ---- the work
 
-    def _run(self) -> BlockOctree:
-        root = self.plan.root
+    def _run(self) -> Any:
         self._prepare()
         self._done = 0
-        self._make(self._missing(root, self.all_faces))
+        if self.merged:
+            return self._merged_octree()
+        self._make(self._missing())
         tree = self._tree()
+        if self.surface and self.surface.plan.exposed:
+            self.surface.complete(self, tree)
+            tree = self._tree()
         mesh = self.mesh
         origin = (mesh.source_sha256, mesh.units, mesh.transform)
         count = sum(map(self.store.voxels, self._used))
         self._attributes = tuple(
             BlockAttribute(one, leaves_of(one, tree), tree.bricks, self.store, self._used)
-            for one in self._kinds()
+            for one in self._all_kinds()
         )
         result = (self.grid, *self._rule, tree, count, self._bricks)
-        return BlockOctree(*result, self._scene(), *origin, self._attributes)
+        scene = self._scene()
+        if self.surface:
+            scene = self.surface.whole.scene(scene)
+        return BlockOctree(*result, scene, *origin, self._attributes)
 
     @property
     def _rule(self) -> tuple[str, str]:
@@ -283,38 +380,43 @@ class WindowsJob(Job[BlockOctree]):
         return self.whole.plan.scene()
 
     def _kinds(self) -> Sequence[Attribute]:
-        """Return the attributes of the octree, without values."""
+        """Return the attributes of the octree but those of its surface, without values."""
         return ()
+
+    def _all_kinds(self) -> list[Attribute]:
+        """Return all attributes of the octree, without values."""
+        return [*self._kinds(), *(self.surface.kinds if self.surface else ())]
 
     def _prepare(self) -> None:
         """Do what comes before all windows."""
 
-    def _missing(self, part: Part, faces: np.ndarray) -> Iterator[tuple[Key, np.ndarray]]:
-        """Yield the windows that are not made yet, with the faces that can change them."""
-        if part.window and part.key in self.store:
-            self._done += 1
-            return
+    def _windows(self, part: Part, faces: np.ndarray) -> Iterator[Wanted]:
+        """Yield the windows of a cube, with the faces that can change them."""
         faces = self._faces_of(part.key, faces)
         if part.window:
             yield part.key, faces
         for half in part.parts:
-            yield from self._missing(half, faces)
+            yield from self._windows(half, faces)
 
-    def _make(self, missing: Iterable[tuple[Key, np.ndarray]]) -> None:
-        """Make windows; they wait on disk."""
-        for key, faces in missing:
-            self._report()
-            with self.device.reporting(lambda _: None):  # not the stages within
-                self.store.put(key, self._finished(key, faces))
+    def _missing(self) -> Iterator[Wanted]:
+        """Yield the windows that are not made yet."""
+        for key, faces in self._windows(self.plan.root, self.all_faces):
+            if key in self.store:
+                self._done += 1
+            else:
+                yield key, faces
 
-    def _finished(self, key: Key, faces: np.ndarray) -> Window:
-        """Return a window, made."""
-        return Window(*self._content(key, faces))
-
-    def _content(self, key: Key, faces: np.ndarray) -> Content:
-        """Return the states of the nodes of a window by level, from the root down, its bricks, and
-        the number of its voxels."""
-        return content_of(self._job(key, faces), key[3])
+    def _make(self, missing: Iterable[Wanted]) -> None:
+        """Have windows made; they wait on disk."""
+        while missing:
+            given = self._needs_to_make, missing, self.store, self._report
+            missing = []
+            for key, faces in self.executor.make(make_window, *given):
+                parts = self._reached_halves(key, faces)
+                windows = {half for half, _ in parts}
+                halves = tuple(Part(half, window=half in windows) for half in halves_of(key))
+                self._divided[key] = Part(key, parts=halves)
+                missing += parts
 
     def _leaf(self, key: Key) -> int:
         """Return the state of a cube that is no window."""
@@ -327,7 +429,7 @@ class WindowsJob(Job[BlockOctree]):
 
     def _divided_part(self, part: Part) -> Part:
         """Return a cube as it was divided in the end."""
-        return part
+        return self._divided.get(part.key, part)
 
     def _made(self, part: Part) -> Subtree:
         """Return the subtree of a cube; its bricks wait on disk."""
@@ -351,6 +453,46 @@ class WindowsJob(Job[BlockOctree]):
         masked = any(one.masked for one in self._attributes)
         for key in self._used:
             yield from self.store.bricks(key) if masked else self.store.take(key)
+
+    def _merged_octree(self) -> MergedOctree:
+        """Return the octree of windows that are merged."""
+        if self.executor.workers:
+            self._make(self._missing())
+        subtrees = self._merged(self.plan.root, self.all_faces)
+        mesh, plan = self.mesh, self.whole.plan
+        described = (plan.scene(), mesh.source_sha256, mesh.units, mesh.transform)
+        return MergedOctree.of_subtrees(subtrees, self.grid, plan.mode, plan.rule, *described)
+
+    def _merged(self, part: Part, faces: np.ndarray) -> Subtrees:
+        """Return the distinct subtrees of a cube."""
+        part, faces = self._divided_part(part), self._faces_of(part.key, faces)
+        if part.parts:
+            joined = join([self._merged(half, faces) for half in part.parts])
+            if joined.nbytes > self.whole.limit:
+                raise MemoryLimitError(
+                    f"the distinct subtrees of {part.key[3]} voxels a side take "
+                    f"{human(joined.nbytes)}, of {human(self.whole.limit)} allowed: choose a "
+                    "smaller dim (see --max-memory)"
+                )
+            return joined
+        if not part.window:
+            return no_subtrees(depth_of(part.key[3]), self._leaf(part.key))
+        return self._merged_window(part.key, faces)
+
+    def _merged_window(self, key: Key, faces: np.ndarray) -> Subtrees:
+        """Return the distinct subtrees of a window, which is made now if none waits on disk."""
+        if self.store is None:
+            given = self._needs_to_make, [(key, faces)], self._report
+            ((_, ((_, made),)),) = self.here.results(make_window, *given)
+            return subtrees_of(made.levels, [made.bricks], made.voxels)
+        if key not in self.store:
+            self._make([(key, faces)])
+        elif not self.executor.workers:
+            self._done += 1
+        if key in self._divided:
+            return self._merged(self._divided[key], faces)
+        tables, _ = self.store.get(key)
+        return subtrees_of(tables, self.store.bricks(key), self.store.voxels(key))
 
     def notes(self, octree: BlockOctree) -> list[str]:
         """Return lines about the fill rule; they are not warnings."""
@@ -376,12 +518,6 @@ def sets_nothing(plan: VoxelizePlan) -> bool:
     return plan.survey.triangles == plan.survey.outside and not plan.entry
 
 
-def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
-    """Return the voxels of a window along each axis."""
-    x, y, z = (min(key[3], n - a) for a, n in zip(key[:3], grid.shape, strict=True))
-    return x, y, z
-
-
 def leaves_of(attribute: Attribute, tree: Subtree) -> np.ndarray:
     """Return the values of inside leaves of a tree: only labels have some."""
     own = tree.labels if attribute.name == "label" else ()
@@ -393,30 +529,3 @@ def stored_bytes(plan: Any) -> int:
     copy that waits beside it."""
     values = getattr(plan, "stored_values", 0) + getattr(plan, "waiting", 0)
     return NODE_BYTES * plan.nodes + BRICK_BYTES * plan.bricks + values
-
-
-def content_of(job: VoxelizeJob, side: int) -> Content:
-    """Return the content of the window of `side` voxels that a job makes."""
-    octree = job._run()
-    return subtree_of(octree, side).levels, octree.bricks, octree.count
-
-
-def attributed(octree: Octree, side: int) -> Window:
-    """Return an octree with attributes as the window of `side` voxels."""
-    levels = subtree_of(octree, side).levels
-    return Window(levels, octree.bricks, octree.count, octree.attributes)
-
-
-def refuse_smallest(key: Key, shortage: str, least: int = LEAST) -> None:
-    """Raise MemoryLimitError if a window that does not fit cannot be divided."""
-    if key[3] <= least:
-        raise MemoryLimitError(
-            f"a window of {key[3]} voxels a side {shortage}: allow more, or choose a smaller dim"
-        )
-
-
-def halves_of(key: Key) -> list[Key]:
-    """Return the eight cubes of a cube, in Morton order."""
-    x, y, z, side = key
-    half = side // 2
-    return [(x + half * i, y + half * j, z + half * k, half) for i, j, k in CORNERS.tolist()]
