@@ -1,8 +1,9 @@
 # make demo     an environment, an example mesh, its octree, a surface of it, its distance field; an example
 #               volume, and pictures
 # make quick    a contributor's loop: one driver, nothing slow; under two minutes
-# make test     the whole suite, on every driver
-# make soak     the long tests: kills, many calls, all models and digests; SECONDS= and SEED= choose a slice
+# make test     the whole suite; ARGS=--every-driver runs each case on every driver, not on one in turn
+# make soak     the long tests: kills, many calls, all models and digests; SECONDS= and SEED= choose a slice;
+#               from ten minutes on also each case on the drivers on which make test does not run it
 # make fuzz     mutated files and extreme arguments; SECONDS=, SEED= and ARGS= as python -m tests.fuzz -h
 # make gpu-report  selftest, golden digests and bench of DEVICE= (a GPU), in docs/gpu; again goes on
 # make lint     style, types and imports, also of the scripts of pages

@@ -13,6 +13,7 @@ import shlex
 import shutil
 import subprocess
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -63,14 +64,20 @@ def opened(index: int) -> Device:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--quick", action="store_true", help="one driver, and no test marked slow")
+    parser.addoption(
+        "--every-driver", action="store_true", help="each case of each test on every driver"
+    )
     parser.addoption("--soak", type=float, help="seconds that tests/soak may take")
     parser.addoption("--seed", type=int, help="of tests/soak; a new one every time by default")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what the tier does not run: slow tests in --quick, soak tests without --soak. The
-    longest file comes first, so that no worker is left alone with it."""
+    """Leave out what the tier does not run: slow tests in --quick, soak tests without --soak, and
+    half of the pairs of case and driver. The longest file comes first, so that no worker is left
+    alone with it."""
     items.sort(key=lambda item: item.path.name != "test_oclgrind.py")
+    if not config.getoption("every_driver"):
+        share_cases(items)
     soak = config.getoption("soak") or 0
     left_out = {name for name, least in (("soak", 1), ("long", LONG)) if soak < least}
     if config.getoption("quick"):
@@ -83,6 +90,29 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=dropped)
         gone = set(dropped)
         items[:] = [item for item in items if item not in gone]
+
+
+def share_cases(items: list[pytest.Item]) -> None:
+    """Share the cases of each test among the drivers; what is left is for a long soak run.
+
+    A test of one case, and one that is marked every_driver, keep all drivers. The share of case i
+    follows the number of ones in i, so that each value of each of several parameters comes to
+    every driver.
+    """
+    tests: dict[str, dict[str, list[pytest.Function]]] = defaultdict(lambda: defaultdict(list))
+    for item in items:
+        if not isinstance(item, pytest.Function) or "device_index" not in item.fixturenames:
+            continue
+        if item.get_closest_marker("every_driver") is None:
+            case = item.callspec.id.partition("-")[2]  # the driver comes first
+            tests[item.nodeid.partition("[")[0]][case].append(item)
+    for cases in tests.values():
+        for number, found in enumerate(cases.values()):
+            chosen = found[number.bit_count() % len(found)]
+            for item in found:
+                if item is not chosen and len(cases) > 1:
+                    item.add_marker("soak")
+                    item.add_marker("long")
 
 
 @pytest.hookimpl(trylast=True)

@@ -14,6 +14,7 @@ from golden_report import WINGS
 
 import voxtool
 
+pytestmark = pytest.mark.every_driver
 GOLDEN = {
     wing: json.loads((golden_svo.GOLDEN.parent / f"{wing}.json").read_text(encoding="utf-8"))
     for wing in WINGS

@@ -100,7 +100,6 @@ def test_a_model_with_features() -> None:
     assert largest < 0.5
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 def test_across_a_hole_the_surface_is_the_smooth_one() -> None:
     mesh = voxtool.mesh_from_arrays(*meshes.open_box(0, (4, 3, 2)))
     field = voxtool.build_adf(mesh, max_level=5)
@@ -113,7 +112,6 @@ def test_across_a_hole_the_surface_is_the_smooth_one() -> None:
     )
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")  # they leave the cube
 @pytest.mark.parametrize("kind", ["any", "sparse", "near", "blocks"])
 def test_any_values_give_a_closed_manifold(kind: str) -> None:
     ball = voxtool.mesh_from_arrays(*meshes.icosphere(2, (0.5, 0.5, 0.5), 0.3))

@@ -46,7 +46,6 @@ def random_field(seed: int, kind: str) -> DistanceField:
     return replace(field, voxels=values[kind].astype(np.float32))
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")  # they leave the cube
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("kind", ["any", "sparse", "near", "blocks"])
 def test_any_values_give_a_closed_manifold(kind: str, seed: int) -> None:
@@ -102,7 +101,6 @@ def plain_crossings(field: DistanceField, offset: float) -> set[tuple[int, ...]]
     return found
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @pytest.mark.parametrize("kind", ["any", "near"])
 def test_crossings_are_those_of_a_plain_construction(kind: str) -> None:
     from voxtool.adf.surface.dual import find_crossings

@@ -18,7 +18,6 @@ from voxtool.opencl import Device
 from voxtool.selftest import shapes, thin
 from voxtool.selftest.fields import to_box
 
-pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")  # too thin
 # in the first half, hanging vertices with a wrong sign would break bounds
 SEEDS = (120, 132, 144, 174, 210, 234, *range(100, 114))
 TURNED = thin.turn(np.random.default_rng(7))

@@ -63,6 +63,7 @@ def test_other_words_are_no_decimals(word: str, others: str) -> None:
         assert _decimals_in(letters, np.int64) is None
 
 
+@pytest.mark.filterwarnings("ignore::voxtool.errors.DeviceWarning")
 def test_a_warning_of_another_thread_is_no_error() -> None:
     words = np.frombuffer(b"0.5 " * 100_000, np.uint8)
     raised: list[Warning] = []

@@ -468,7 +468,8 @@ def digits(text: str) -> str:
 def shortest(value: np.float32) -> str:
     """The fewest decimals that are this number in float32."""
     texts = (f"{float(value):.{n}e}" for n in range(10))
-    return next(text for text in texts if np.float32(text) == value or np.isnan(value))
+    with np.errstate(over="ignore"):
+        return next(text for text in texts if np.float32(text) == value or np.isnan(value))
 
 
 def test_csv_of_a_large_block(tmp_path: Path) -> None:

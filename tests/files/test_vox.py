@@ -211,7 +211,7 @@ def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:
 # ---- palettes
 
 
-@pytest.mark.parametrize("axes", permutations(range(3)))
+@pytest.mark.parametrize("axes", list(permutations(range(3))))
 def test_models_of_few_voxels(
     axes: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,7 @@ def test_on_one_driver(entry: corpus.Entry, one_worker: Worker) -> None:
     assert not one_worker.ask(entry.case(one_worker.device))
 
 
+@pytest.mark.every_driver
 @pytest.mark.parametrize("entry", cases(render=True))
 def test_on_every_driver(entry: corpus.Entry, worker: Worker) -> None:
     assert not worker.ask(entry.case(worker.device))

@@ -11,6 +11,7 @@ from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Device
 from voxtool.opencl.histopyramid import histopyramid, level_groups, pyramid_bytes
 
+pytestmark = pytest.mark.every_driver
 ARITIES = (2, 4, 5)
 SIZES = sorted({0, 1} | {k**i + d for k in ARITIES for i in (1, 2, 3, 6) for d in (-1, 0, 1)})
 WALK = """

@@ -25,6 +25,7 @@ from voxtool.opencl.primitives import (
     unique,
 )
 
+pytestmark = pytest.mark.every_driver
 TWO_LEVELS = BLOCK * BLOCK  # from here on, the sums of blocks are scanned in blocks
 
 

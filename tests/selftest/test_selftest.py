@@ -18,6 +18,7 @@ from voxtool.selftest.case import Case
 BY_NAME = {case.name: case for case in CASES}
 
 
+@pytest.mark.every_driver
 @pytest.mark.parametrize("name", BY_NAME)
 @pytest.mark.slow
 def test_cases_hold(device: Device, name: str) -> None:

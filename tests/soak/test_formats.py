@@ -19,7 +19,6 @@ from voxtool.files import formats
 
 pytestmark = [
     pytest.mark.soak,
-    pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning"),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
 ]
 UNEVEN = {"origin": (-1.5, 0.1, 1e-3), "pitch": (0.1, 0.25, 0.5)}

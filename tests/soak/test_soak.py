@@ -27,10 +27,7 @@ from helpers_parts import check_scene, random_scene
 
 import voxtool
 
-pytestmark = [
-    pytest.mark.soak,
-    pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning"),
-]
+pytestmark = pytest.mark.soak
 SHAPE = (24, 20, 22)
 
 

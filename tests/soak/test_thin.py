@@ -9,10 +9,7 @@ from helpers_thin import prove
 
 from voxtool.selftest import thin
 
-pytestmark = [
-    pytest.mark.soak,
-    pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning"),
-]
+pytestmark = pytest.mark.soak
 POINTS = 22_500  # which become 50,000 with those near the worst
 
 

@@ -14,7 +14,6 @@ from voxtool.svo.components import split
 from voxtool.svo.octree import Octree
 
 RNG = np.random.default_rng(3)
-pytestmark = pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 
 
 @pytest.mark.parametrize("neighbours", NEIGHBOURS)

@@ -44,7 +44,6 @@ def growth(octree: Octree, like: Octree) -> np.ndarray:
     return low
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @pytest.mark.parametrize("shape", SHAPES)
 def test_operations_are_those_of_scipy(device, shape) -> None:
     first = SHAPES.index(shape)
@@ -80,7 +79,6 @@ def test_boundary_and_octree_of_a_box(seed: int) -> None:
     assert np.array_equal(part, wide)
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 def test_radius_beyond_a_tile(device) -> None:
     dense = ndimage.gaussian_filter(RNG.random((40, 20, 18)), 3) > 0.5
     octree = Octree.from_dense(dense)
@@ -100,7 +98,6 @@ def test_voxels_that_are_no_cubes(device) -> None:
     assert np.array_equal(eroded.to_dense(), closed[10:-10, 10:-10, 10:-10])
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @settings(max_examples=8)
 @given(st.integers(0, 2**32), st.sampled_from(ELEMENTS), st.sampled_from((1, 1.5, 3)))
 def test_laws(seed: int, element: str, radius: float) -> None:

@@ -51,7 +51,6 @@ def coverages(dense: np.ndarray, ratio: Any, start: Any, shape: Any) -> np.ndarr
     return found / math.prod(map(F, ratio))
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @pytest.mark.parametrize("place", PLACES)
 def test_coverage_is_decided_exactly(device, place: str) -> None:
     """Also where the numbers are rounded: at pitches of 0.1."""

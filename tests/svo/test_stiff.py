@@ -10,8 +10,6 @@ from helpers_stiff import CLOSED, KINDS, stiff_scene, volume_off, voxels_wrong
 
 from voxtool.opencl import Device
 
-pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
-
 
 def check(seed: int, device: Device) -> None:
     """Hold the scene of a seed, of each kind in turn, against integers and rational numbers."""

@@ -29,7 +29,6 @@ def test_random_stiff_scenes(device, kind: str) -> None:
 
 
 @pytest.mark.soak
-@pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_stiff_scenes(device, kind: str, seed: int) -> None:
     assert error_of(device, kind, range(seed, seed + MANY)) < BOUNDS[kind]

@@ -86,7 +86,6 @@ def test_combinations(device: Device, tmp_path_factory, seed: int, spread: int) 
     octree.validate()
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")  # nothing is left
 @given(seed=st.integers(0, 1 << 32))
 @settings(max_examples=20)
 def test_morphology(device: Device, tmp_path_factory, seed: int) -> None:

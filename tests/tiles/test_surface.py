@@ -18,7 +18,6 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_unread
 from voxtool.tiles.surface import SurfaceWindowsJob
 
-pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 STYLES = [
     ("voxel-faces", "voxel", 16),
     ("surface-nets", "voxel", 32),

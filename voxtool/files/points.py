@@ -232,13 +232,19 @@ def _lines_of(file: BinaryIO, first: int = 1) -> Iterator[tuple[int, str]]:
     """Yield numbered lines, without comments and blank lines."""
     text = io.TextIOWrapper(file, "utf-8-sig", errors="replace")
     number = first
-    while line := text.readline(LINE_LIMIT):
-        if len(line) == LINE_LIMIT:
-            raise FileError(f"line {number}: longer than {LINE_LIMIT} letters: no points of text")
-        line = line.partition("#")[0]
-        if line and not line.isspace():
-            yield number, line
-        number += 1
+    try:
+        while line := text.readline(LINE_LIMIT):
+            if len(line) == LINE_LIMIT:
+                raise FileError(
+                    f"line {number}: longer than {LINE_LIMIT} letters: no points of text"
+                )
+            line = line.partition("#")[0]
+            if line and not line.isspace():
+                yield number, line
+            number += 1
+    finally:
+        if not file.closed:  # by who opened it: without this, `text` would close it
+            text.detach()
 
 
 def _by_line(

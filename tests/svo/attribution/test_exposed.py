@@ -193,7 +193,6 @@ FILLS = [
 ]  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 @pytest.mark.parametrize("options", FILLS, ids=str)
 @settings(max_examples=4)
 @given(seed=st.integers(0, 1 << 32))

@@ -61,7 +61,6 @@ def check_neighbours(octree: Octree) -> None:
         assert np.array_equal(own[both, 2 * axis + 1], next_[both, 2 * axis])
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @settings(max_examples=6)
 @given(data=st.data())
 def test_every_face_is_that_of_rational_arithmetic(devices, data) -> None:
@@ -81,7 +80,6 @@ def test_every_face_is_that_of_rational_arithmetic(devices, data) -> None:
         assert np.array_equal(octree.bricks, plain.bricks)
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @settings(max_examples=10)
 @given(data=st.data())
 def test_windows_are_parts_of_the_grid(device, data) -> None:

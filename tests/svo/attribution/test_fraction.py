@@ -54,7 +54,6 @@ def grid(shape: tuple[int, int, int] = SHAPE) -> voxtool.Grid:
     return voxtool.Grid(shape, (0, 0, 0), (1, 1, 1))
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @settings(max_examples=5)
 @given(data=st.data())
 def test_every_voxel_is_that_of_rational_arithmetic(devices, data) -> None:
@@ -66,7 +65,6 @@ def test_every_voxel_is_that_of_rational_arithmetic(devices, data) -> None:
     assert not any(job.disagreements for job in jobs)
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
 @settings(max_examples=10)
 @given(data=st.data())
 def test_windows_are_parts_of_the_grid(device, data) -> None:

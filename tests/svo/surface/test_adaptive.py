@@ -26,8 +26,6 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import Isosurface
 
-pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
-
 SAMPLINGS = ((SURFACE_NETS, "voxel"), (SURFACE_NETS, 0), (MARCHING_CUBES, "voxel"),
              (MARCHING_CUBES, 0), (VOXEL_FACES, "voxel"))  # fmt: skip
 ROUNDED = 1 + 1e-9

@@ -146,7 +146,6 @@ def extracted(octree: Octree, request: str, device) -> Any:
     return found
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 @pytest.mark.parametrize("request_", REQUESTS)
 @pytest.mark.parametrize("name", OCTREES)
 def test_against_exact_fractions(device, name: str, request_: str) -> None:

@@ -25,8 +25,6 @@ from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface, Lost
 from voxtool.svo.surface.plan import COMPACTIONS, NAIVE_SAMPLES, SCAN
 
-pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
-
 CUBES, FACES, NETS, _ = choices.STYLES
 STYLES = ((CUBES, 0), (CUBES, 1), (CUBES, 2), (CUBES, "voxel"), (FACES, "voxel"),
           (FACES, 0), (NETS, "voxel"), (NETS, 0), (NETS, 1), (NETS, 2))  # fmt: skip

@@ -54,7 +54,6 @@ def count_of(octree: Octree, label: int) -> int:
     return int(np.count_nonzero(label_array(octree) == label))
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 @pytest.mark.parametrize("name", OCTREES)
 def test_faces_are_those_between_labels(name: str) -> None:
     """Each face between two labels, or a label and nothing, is there once, with both labels."""
@@ -84,7 +83,6 @@ def test_faces_are_those_between_labels(name: str) -> None:
     assert np.array_equal(surface.sides[::2], surface.sides[1::2])
 
 
-@pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 @pytest.mark.parametrize("style", LABEL_STYLES)
 @pytest.mark.parametrize("name", OCTREES)
 def test_each_mesh_is_closed(name: str, style: str) -> None:
