@@ -5,6 +5,7 @@
 # make soak     the long tests: kills, many calls, all models and digests; SECONDS= and SEED= choose a slice;
 #               from ten minutes on also each case on the drivers on which make test does not run it
 # make fuzz     mutated files and extreme arguments; SECONDS=, SEED= and ARGS= as python -m tests.fuzz -h
+# make golden  the golden digests of KIND= anew: svo, mesh, adf, ... (tests/golden)
 # make gpu-report  selftest, golden digests and bench of DEVICE= (a GPU), in docs/gpu; again goes on
 # make lint     style, types and imports, also of the scripts of pages
 # make docs     the site, in build/site
@@ -29,7 +30,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # The processes of the tests share the cores, and numpy's threads for matrices spin while they wait.
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo quick test soak fuzz gpu-report lint docs headers clean
+.PHONY: demo quick test soak fuzz golden gpu-report lint docs headers clean
 
 demo: .venv/all.done bunny.obj volume.vtu
 	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
@@ -54,6 +55,9 @@ fuzz: .venv/test.done
 
 gpu-report: .venv/all.done
 	.venv/bin/python -m tests.gpu_report $(DEVICE) $(ARGS)
+
+golden: .venv/test.done
+	.venv/bin/python -m tests.golden.$(KIND)
 
 lint: .venv/test.done node_modules/lint.done
 	.venv/bin/ruff check

@@ -23,10 +23,10 @@ import numpy as np
 
 from tests.performance_page import digits, markdown
 from voxtool.files import write_svo
-from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Windows
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.files.octrees.windows import Windows
 from voxtool.grid import Grid
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 from voxtool.tiles import windows
 from voxtool.tiles.cluster import connected
 from voxtool.tiles.plan import plan_spread

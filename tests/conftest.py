@@ -19,11 +19,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import helpers_tets
-import meshes
 import pytest
-from helpers_browser import LARGE, SMALL, Viewer, open_browser
-from helpers_cli import ENVIRONMENT, MODULE, ROOT, run, write_obj
+from helpers import meshes
+from helpers import tets as helpers_tets
+from helpers.browser import LARGE, SMALL, Viewer, open_browser
+from helpers.cli import ENVIRONMENT, MODULE, ROOT, run, write_obj
 from hypothesis import HealthCheck, Phase, settings
 
 from voxtool.opencl import Device, open_device

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from helpers.browser import Viewer, open_browser, written
 
 import voxtool
-from tests.helpers_browser import Viewer, open_browser, written
 from tests.performance_page import markdown
 
 SIDE = 512  # pixels

@@ -87,7 +87,7 @@ def stages(device: str) -> list[str]:
     return [
         *(f"python examples/make_{path.stem}.py -o {path}" for path in models[:2]),
         f"python -m voxtool selftest --full --device {device}",
-        *(f"python tests/golden_report.py {path.stem} --device {device}"
+        *(f"python -m tests.golden.report {path.stem} --device {device}"
           for path in sorted(Path("tests/golden").glob("*.json"))),
         *(f"python -m voxtool bench {bench.replace('MODEL', str(model))} --device {device}"
           for model in models for bench in BENCHES[model.suffix]),

@@ -7,11 +7,11 @@ import subprocess
 import sys
 import typing
 
-import meshes
 import numpy as np
 import pytest
 import trimesh
-from helpers_cli import ENVIRONMENT, write_obj
+from helpers import meshes
+from helpers.cli import ENVIRONMENT, write_obj
 
 import voxtool
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from helpers_cli import ENVIRONMENT
+from helpers.cli import ENVIRONMENT
 
 from voxtool import claims
 from voxtool.claims import Claim, machine, release

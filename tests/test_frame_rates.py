@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_browser import written
+from helpers.browser import written
 
 import voxtool
 from tests.frame_rates import fetches, processor_seconds

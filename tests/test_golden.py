@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 
-import golden_adf
-import golden_mesh
-import golden_picture
-import golden_svo
 import pytest
 from conftest import model
-from golden_report import WINGS
+from golden import adf as golden_adf
+from golden import mesh as golden_mesh
+from golden import picture as golden_picture
+from golden import svo as golden_svo
+from golden.report import WINGS
 
 import voxtool
 

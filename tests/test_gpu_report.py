@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from gpu_report import LIMIT, Result, page_of, run_stages, stages
-from helpers_cli import ENVIRONMENT, ROOT
+from helpers.cli import ENVIRONMENT, ROOT
 
 from voxtool.opencl import list_devices
 
@@ -47,7 +47,7 @@ def test_a_stage_that_is_stopped_is_run_again(tmp_path: Path, monkeypatch) -> No
 @pytest.mark.parametrize("wing", ["adf", "distance", "mesh", "picture", "svo"])
 def test_every_golden_digest_is_a_stage(wing: str, monkeypatch) -> None:
     monkeypatch.chdir(ROOT)
-    assert f"python tests/golden_report.py {wing} --device 0" in stages("0")
+    assert f"python -m tests.golden.report {wing} --device 0" in stages("0")
 
 
 def test_a_digest_that_differs_is_shown(tmp_path: Path) -> None:
@@ -56,8 +56,10 @@ def test_a_digest_that_differs_is_shown(tmp_path: Path) -> None:
     stored = json.loads((ROOT / "tests/golden/distance.json").read_text())
     stored["torus"]["grid"] = "another"
     (golden / "distance.json").write_text(json.dumps(stored))
-    words = [sys.executable, ROOT / "tests/golden_report.py", "distance", "--golden", golden]
-    done = subprocess.run(words, env=ENVIRONMENT, capture_output=True, text=True, check=False)
+    words = [sys.executable, "-m", "tests.golden.report", "distance", "--golden", golden]
+    done = subprocess.run(
+        words, env=ENVIRONMENT, cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 1, done.stderr
     assert "sphere: 5 of 5 digests are equal" in done.stdout
     assert "torus: 4 of 5 digests are equal\n    differs: grid\n" in done.stdout

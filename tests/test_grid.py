@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from voxtool.errors import GridError
 from voxtool.grid import FIXED_POINT_LIMIT, MAX_DIM, MIN_DIM, Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
-from voxtool.svo.placing import common_grid
+from voxtool.svo.sets.placing import common_grid
 
 UNIT = 256
 BOX = [(0.0, 0.0, 0.0), (4.0, 2.0, 1.0)]

@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from helpers_files import run_python
+from helpers.files import run_python
 
 from voxtool import limits, memory
 

@@ -19,16 +19,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import meshes
 import numpy as np
-import oracles
 import pytest
-from helpers_attributes import attributed
-from helpers_distance import brute
-from helpers_field import HALVES, cells_of, plain_field, sphere
-from helpers_octree import octree_from_dense
-from helpers_signs import winding
-from helpers_tets import (
+from helpers import meshes, oracles
+from helpers.attributes import attributed
+from helpers.distance import brute
+from helpers.field import HALVES, cells_of, plain_field, sphere
+from helpers.octree import octree_from_dense
+from helpers.signs import winding
+from helpers.tets import (
     SIX,
     boxes,
     draw,
@@ -40,14 +39,15 @@ from helpers_tets import (
 )
 from scipy import ndimage
 
-from voxtool.adf import build, query, textures
-from voxtool.adf.scene import FieldScene
+from voxtool.adf.construction import build
+from voxtool.adf.pictures.scene import FieldScene
+from voxtool.adf.queries import query, textures
 from voxtool.adf.surface.extract import extract_field_surface
 from voxtool.bench import text_peers
 from voxtool.bench.fractions import dense_of
 from voxtool.camera import Camera
 from voxtool.choices import COLOURS, METHODS
-from voxtool.files.spool import Spool
+from voxtool.files.storage.spool import Spool
 from voxtool.grid import Grid
 from voxtool.mesh.appearance import Appearance, Material, Texture
 from voxtool.mesh.joining import join
@@ -69,19 +69,19 @@ from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.svo.attribution.colours import plan_attributes
 from voxtool.svo.attribution.fraction import plan_fractions
 from voxtool.svo.attribution.labels import plan_labels
-from voxtool.svo.booleans import combine
-from voxtool.svo.fill.caps import find_boundary
-from voxtool.svo.morphology import plan_morph
-from voxtool.svo.octree import Octree
-from voxtool.svo.query import OctreeQuery
-from voxtool.svo.raycast import cast, cast_attribute, depths
-from voxtool.svo.resample import plan_resample
-from voxtool.svo.stored_volume import stored_volume
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.octree.stored_volume import stored_volume
+from voxtool.svo.pictures.raycast import cast, cast_attribute, depths
+from voxtool.svo.queries.query import OctreeQuery
+from voxtool.svo.sets.booleans import combine
+from voxtool.svo.sets.morphology import plan_morph
+from voxtool.svo.sets.resample import plan_resample
+from voxtool.svo.solvers.wall_links import CROSSED, plan_wall_links
 from voxtool.svo.surface.extract import plan_extract, plan_unread
 from voxtool.svo.surface.isosurface import LATTICE
-from voxtool.svo.voxelize import plan_voxelize
-from voxtool.svo.wall_links import CROSSED, plan_wall_links
-from voxtool.tets.textures import build_tet
+from voxtool.svo.voxelization.fill.caps import find_boundary
+from voxtool.svo.voxelization.voxelize import plan_voxelize
+from voxtool.tets.construction.textures import build_tet
 from voxtool.tiles.surface import SurfaceWindowsJob
 
 if TYPE_CHECKING:
@@ -673,7 +673,7 @@ def build_fields(device) -> None:
 def query_fields(device) -> None:
     """Every search, for every answer, by fields with identifiers of either size and hashes with
     and without a fourth channel; one point or several at a time."""
-    from adf.test_query import EVERYTHING, equal, spike, with_w
+    from adf.queries.test_query import EVERYTHING, equal, spike, with_w
 
     points = np.random.default_rng(1).uniform(-0.1, 1.1, (40, 3))
     points[3] = np.nan

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import meshes
 import numpy as np
+from helpers import meshes
 
 Mesh = tuple[np.ndarray, np.ndarray]
 Fault = Callable[[np.random.Generator, np.ndarray, np.ndarray], Mesh]

@@ -1,7 +1,7 @@
 """Exact distances as jobs: from any points, and at the voxel centres of a grid.
 
-The inside is that of voxelize (svo/inside.py). On a grid a distance is negative exactly
-where the voxel is set. The magnitudes are those of the unrounded mesh.
+The inside is that of voxelize (svo/voxelization/inside.py). On a grid a distance is negative
+exactly where the voxel is set. The magnitudes are those of the unrounded mesh.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from voxtool.spatial import insides
 from voxtool.spatial.distance import POINT_BYTES, POINTS_AT_ONCE
 from voxtool.spatial.fill_rule import Inside, inside_of_closed
 from voxtool.spatial.signed_distance import SignedDistance, distance_bytes
-from voxtool.svo.inside import inside_of
+from voxtool.svo.voxelization.inside import inside_of
 
 if TYPE_CHECKING:
-    from voxtool.adf.build import FieldJob
+    from voxtool.adf.construction.build import FieldJob
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.svo.octree import Octree
-    from voxtool.svo.voxelize import VoxelizeJob
+    from voxtool.svo.octree.octree import Octree
+    from voxtool.svo.voxelization.voxelize import VoxelizeJob
 
 LOCATED_BYTES = 56  # further bytes a point for its nearest point
 SIGN_STAGES = {"pseudonormal": ["pseudo-normals"], "winding": ["moments"]}
@@ -119,7 +119,7 @@ def inside_for(mesh: Mesh, fill: str, device: Device) -> tuple[Inside, str]:
 
 def plan_field(mesh: Mesh, *, fill: str = "auto", **request: Any) -> FieldJob:
     """Return the job of building the distance field of a mesh; see voxtool.plan_adf."""
-    from voxtool.adf.build import plan_adf
+    from voxtool.adf.construction.build import plan_adf
 
     device = request.pop("device", None) or default_device()
     if fill == "auto":
@@ -227,7 +227,7 @@ class DistanceGridJob(Job[np.ndarray]):
         distances = self._magnitudes()
         if octree is None:
             return distances
-        from voxtool.svo.image import VoxelImage
+        from voxtool.svo.images.image import VoxelImage
 
         least, x = np.finfo(distances.dtype).tiny, 0
         for voxels in VoxelImage.of(octree).slabs():
@@ -270,7 +270,7 @@ def plan_distance_grid(
         check_single("the array", grid.pitch, np.ptp(ends, axis=0).sum(), "leave out --float32")
     device, voxels = device or default_device(), None
     if fill != "none":
-        from voxtool.svo.voxelize import plan_voxelize
+        from voxtool.svo.voxelization.voxelize import plan_voxelize
 
         voxels = plan_voxelize(mesh, grid, fill=fill, gap=gap, device=device, max_memory=max_memory)
     magnitudes = DistancePlan(len(mesh.faces), "none", located=False)

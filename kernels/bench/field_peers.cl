@@ -4,7 +4,7 @@
 // Each writes the distance of voxtool's own queries, bit for bit, and how many slots of hashes it
 // read.
 
-#include "adf/points.h"
+#include "adf/field/points.h"
 #include "morton_bits.h"
 
 #define LEVEL_SHIFT (POINT_BITS - 1)

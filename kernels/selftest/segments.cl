@@ -1,6 +1,6 @@
 // The weights of segments, LANES a work-item. Host side: voxtool/selftest/volumes.py.
 
-#include "tets/segment.h"
+#include "tets/pictures/segment.h"
 
 // The weights and the transmittances of segments with optical depths a and b at their ends.
 __kernel void weigh(__global const float *a, __global const float *b, __global float *w_f,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
-import meshes
 import numpy as np
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
-from voxtool.adf.survey import cube_of
+from voxtool.adf.construction.survey import cube_of
 from voxtool.bench import adf, peers
 from voxtool.bench.points import FIGURES, Point
 from voxtool.bench.references import distances_compared

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import meshes
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
 from voxtool.bench import combine
 from voxtool.bench.request import Request
 from voxtool.bench.timing import Bench
 from voxtool.choices import OPERATIONS
-from voxtool.svo.compare import COMPARE
+from voxtool.svo.sets.compare import COMPARE
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, told
+from helpers.cli import fail, told
 
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.mesh.topology import SurfaceCheck, check_surface

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 
 from voxtool.bench.distance import exact_distances
 from voxtool.mesh.mesh import mesh_from_arrays

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import meshes
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
 from voxtool.bench import exchange
 from voxtool.bench.request import Request
 from voxtool.bench.timing import Bench
 from voxtool.errors import VoxtoolWarning
 from voxtool.files import formats
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 
 REQUEST = Request(dims=(16,), repeat=1, seconds=0)
 

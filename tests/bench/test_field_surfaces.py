@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import meshes
 from conftest import opened, usable_devices
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
 from voxtool.bench import field_surfaces
 from voxtool.bench.request import Request

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import meshes
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
 from voxtool.bench import fractions
 from voxtool.bench.request import Request

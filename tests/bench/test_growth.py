@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import told, write_obj
-from helpers_tets import assert_matched, six_volumes, split, tet_grid, tet_mesh
+from helpers.cli import told, write_obj
+from helpers.tets import assert_matched, six_volumes, split, tet_grid, tet_mesh
 
 from voxtool.bench.growth import eighths, whole
 from voxtool.opencl import default_device

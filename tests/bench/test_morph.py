@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
 from voxtool.bench import morph
 from voxtool.bench.request import Request

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from helpers_cli import fail, told
+from helpers.cli import fail, told
 
 from voxtool.bench.ablation import FIELD, VOXELIZE
 from voxtool.bench.plans import FIELDS, KINDS, VOXELS

@@ -12,13 +12,13 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import fail, invoke, run
+from helpers import meshes
+from helpers.cli import fail, invoke, run
 
-from voxtool.adf.build import build_adf, plan_adf
+from voxtool.adf.construction.build import build_adf, plan_adf
 from voxtool.bench import ablation, compare, peers, report, timing, voxels
 from voxtool.bench.points import (
     MEASURES,
@@ -45,7 +45,7 @@ from voxtool.mesh.topology import check_topology, volume
 from voxtool.opencl import list_devices
 from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.voxelize import plan_voxelize, voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize, voxelize
 
 HOSTILE = """<script src="http://x.example/a.js">alert(1)</script>"'&$x_$=1\x1b[31m\n.obj"""
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-import meshes
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
 import voxtool
 from voxtool.bench import scale

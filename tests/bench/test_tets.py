@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import opened, usable_devices
-from helpers_cli import run
+from helpers.cli import run
 from selftest.test_reference import TETRAHEDRON, constant_of, five, kuhn, look, ramp, steps
 
 from voxtool.bench import ablation, peers, tets
@@ -18,11 +18,11 @@ from voxtool.bench.request import TRANSFERS, Request
 from voxtool.bench.timing import Bench
 from voxtool.choices import METHODS
 from voxtool.opencl import open_device
-from voxtool.rendering import plan_render
+from voxtool.pictures.rendering import plan_render
 from voxtool.selftest.reference import reference
-from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.mesh import UnstructuredMesh, volume_cells
-from voxtool.tets.textures import build_tet
+from voxtool.tets.construction.conforming import tetrahedra
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.volume.mesh import UnstructuredMesh, volume_cells
 
 REQUEST = Request(sizes=(6, 12), pixels=6, transfers=("x10",), scalar="heat", repeat=1, seconds=0,
                   integrators=("linear", "sampled:1"), ablations=False, peers=True)  # fmt: skip

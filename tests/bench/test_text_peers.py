@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from adf.test_query import spike, with_w
-from helpers_field import plain_field, sphere
+from adf.queries.test_query import spike, with_w
+from helpers.field import plain_field, sphere
 
-from voxtool.adf.cells import cell_identifier
+from voxtool.adf.field.cells import cell_identifier
 from voxtool.bench import text_peers
 from voxtool.bench.request import Request
 from voxtool.bench.text_peers import EIGHT, PERFECT, PROBED, VERTICES, Peers, Probing

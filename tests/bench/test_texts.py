@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import ROOT, told, write_obj
-from helpers_tets import write_vtu
+from helpers.cli import ROOT, told, write_obj
+from helpers.tets import write_vtu
 
-from voxtool.adf.build import plan_adf
-from voxtool.adf.cells import cell_of, key_of
+from voxtool.adf.construction.build import plan_adf
+from voxtool.adf.field.cells import cell_of, key_of
 from voxtool.bench import text_fields, text_methods, texts
 from voxtool.bench.request import KINDS, Request
 from voxtool.bench.text_layout import as_text, sections

@@ -7,16 +7,16 @@ import json
 import math
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import fail, process, run, write_obj
+from helpers import meshes
+from helpers.cli import fail, process, run, write_obj
 
 from voxtool import read_adf
-from voxtool.adf.build import build_adf, plan_adf
-from voxtool.adf.plan import BLOCK_BYTES
-from voxtool.adf.survey import cube_of
-from voxtool.files.mesh import load_mesh
+from voxtool.adf.construction.build import build_adf, plan_adf
+from voxtool.adf.construction.plan import BLOCK_BYTES
+from voxtool.adf.construction.survey import cube_of
+from voxtool.files.meshes.mesh import load_mesh
 
 COARSE = "--tolerance 0.01 --max-level 3"
 SHAPES = {

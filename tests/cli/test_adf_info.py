@@ -9,11 +9,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told, write_obj
-from helpers_field import plain_field, point
+from helpers.cli import fail, run, told, write_obj
+from helpers.field import plain_field, point
 
 from voxtool import read_adf, write_adf
-from voxtool.adf.cells import cell_of
+from voxtool.adf.field.cells import cell_of
 
 DATA = Path(__file__).parents[1] / "data"
 GOLDEN = """\

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, process, run
-from helpers_field import plain_field, sphere
+from helpers.cli import fail, process, run
+from helpers.field import plain_field, sphere
 
 from voxtool import read_adf, write_adf
-from voxtool.adf.cells import key_of
+from voxtool.adf.field.cells import key_of
 from voxtool.opencl import images
-from voxtool.plots.slices import INSIDE, OUTSIDE, round_step
+from voxtool.pictures.slices import INSIDE, OUTSIDE, round_step
 
 ORIGIN, SIDE = (-1.0, 2.0, 0.5), 4.0
 POINTS = np.random.default_rng(1).random((500, 3)) * SIDE + np.array(ORIGIN)

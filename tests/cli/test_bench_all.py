@@ -9,11 +9,11 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-import meshes
 import pytest
 from conftest import usable_devices
 from docs.test_docs import parse
-from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, run, write_obj
+from helpers import meshes
+from helpers.cli import ENVIRONMENT, MODULE, fail, invoke, run, write_obj
 
 from voxtool.bench.points import FIGURES, MEASURES
 from voxtool.bench.request import MESH_BENCHES, VOLUME_BENCHES, benches_for

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
-from helpers_cli import fail, invoke, run, told
+from helpers.cli import fail, invoke, run, told
 
 from voxtool.files import read_svo
 

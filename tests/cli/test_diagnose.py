@@ -6,16 +6,16 @@ import json
 from pathlib import Path
 from typing import Any
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model, usable_devices
-from helpers_cli import fail, invoke, run, write_obj
+from helpers import meshes
+from helpers.cli import fail, invoke, run, write_obj
 
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.topology import check_surface
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.voxelization.voxelize import voxelize
 
 RULES = ["parity", "nonzero", "winding", "flood"]
 OPEN = """\

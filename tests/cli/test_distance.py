@@ -6,14 +6,14 @@ import io
 import json
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import fail, run, write_obj
-from helpers_distance import brute
+from helpers import meshes
+from helpers.cli import fail, run, write_obj
+from helpers.distance import brute
 
 import voxtool
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 
 POINTS = np.random.default_rng(3).uniform(-1, 5, (50, 3))
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told, write_obj
+from helpers import meshes
+from helpers.cli import fail, run, told, write_obj
 
 import voxtool
-from voxtool.files.vdb_read import read as read_vdb
+from voxtool.files.grids.vdb_read import read as read_vdb
 
 
 def test_band_and_spacing_of_a_level_set(here: Path) -> None:

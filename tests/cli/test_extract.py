@@ -8,16 +8,16 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
-from helpers_attributes import attributed
-from helpers_cli import fail, invoke, run, told, write_obj
-from helpers_octree import ball, octree_from_dense
+from helpers import meshes
+from helpers.attributes import attributed
+from helpers.cli import fail, invoke, run, told, write_obj
+from helpers.octree import ball, octree_from_dense
 
 from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_svo
-from voxtool.files.mesh import load_mesh
-from voxtool.svo.octree import Octree
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import Isosurface
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_attributes import attributed, labelled
-from helpers_cli import fail, run
-from helpers_octree import ball
+from helpers.attributes import attributed, labelled
+from helpers.cli import fail, run
+from helpers.octree import ball
 
 import voxtool
 from voxtool.mesh import srgb

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
 import trimesh
-from helpers_cli import fail, invoke, run, told, write_obj
+from helpers import meshes
+from helpers.cli import fail, invoke, run, told, write_obj
 
 import voxtool
 from voxtool.files import read_svo

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import click
 import h5py
-import meshes
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from helpers_cli import (
+from helpers import meshes
+from helpers.cli import (
     ENVIRONMENT,
     MODULE,
     fail,
@@ -34,9 +34,9 @@ from helpers_cli import (
 from voxtool.cli import main, options
 from voxtool.cli.options import output_of
 from voxtool.files import read_svo
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.voxelization.voxelize import voxelize
 
 MODES = ("surface26", "surface6", "solid")
 
@@ -140,9 +140,10 @@ def test_a_plain_solid_imports_what_it_needs(tmp_path) -> None:
         "except SystemExit as end: assert not end.code\n"
         "absent = {'numpy.ma', 'voxtool.cli.workers'}\n"
         "absent |= {'voxtool.svo.attribution.colours', 'voxtool.svo.attribution.fraction'}\n"
-        "absent |= {'voxtool.svo.attribution.labels', 'voxtool.svo.choosing'}\n"
-        "absent |= {'voxtool.svo.thin', 'voxtool.svo.query'}\n"
-        "absent |= {'voxtool.svo.fill.flood', 'voxtool.files.gltf', 'voxtool.files.threemf'}\n"
+        "absent |= {'voxtool.svo.attribution.labels', 'voxtool.svo.voxelization.fill_choice'}\n"
+        "absent |= {'voxtool.svo.sets.thin', 'voxtool.svo.queries.query'}\n"
+        "absent |= {'voxtool.svo.voxelization.fill.flood', 'voxtool.files.meshes.gltf'}\n"
+        "absent |= {'voxtool.files.meshes.threemf'}\n"
         "found = absent & set(sys.modules)\n"
         "assert not found, found\n"
         "assert os.environ['OPENBLAS_NUM_THREADS'] == '1'"

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, run, told
+from helpers.cli import ENVIRONMENT, MODULE, fail, invoke, run, told
 
 from voxtool.claims import machine
 from voxtool.errors import FileError
 from voxtool.files import read_svo
-from voxtool.files.manifest import Manifest
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.files.storage.manifest import Manifest
 from voxtool.grid import Grid
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.voxelization.voxelize import voxelize
 
 # Kills the process that opens crash.obj.
 CRASH = """

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import ROOT, fail, run, told
+from helpers.cli import ROOT, fail, run, told
 
 import voxtool
 from voxtool.files import read_svo

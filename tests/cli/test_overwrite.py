@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from helpers_cli import fail, invoke, process, run
+from helpers.cli import fail, invoke, process, run
 from PIL import Image
 
 from voxtool.cli import main

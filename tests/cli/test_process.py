@@ -10,10 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from helpers_cli import ENVIRONMENT, MODULE, run
+from helpers.cli import ENVIRONMENT, MODULE, run
 
 from voxtool import open_device
-from voxtool.files.atomic import atomic_path
+from voxtool.files.storage.atomic import atomic_path
 
 pytestmark = [
     pytest.mark.slow,
@@ -171,7 +171,8 @@ def test_a_compiler_that_ends_the_process_is_one_line(where, device, command, cu
 
 def test_leftovers_of_dead_processes_go_when_the_target_is_written_again(cube) -> None:
     script = (
-        "import os; from voxtool.files.atomic import atomic_path as a\nwith a('a.obj') as t: {}"
+        "import os; from voxtool.files.storage.atomic import atomic_path as a\n"
+        "with a('a.obj') as t: {}"
     )
     for then in ("os._exit(1)", "print(t, flush=True), __import__('time').sleep(60)"):
         child = subprocess.Popen(

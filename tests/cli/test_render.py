@@ -16,8 +16,8 @@ import av
 import numpy as np
 import png
 import pytest
-from helpers_attributes import attributed
-from helpers_cli import fail, run, told
+from helpers.attributes import attributed
+from helpers.cli import fail, run, told
 from PIL import Image, ImageSequence
 
 from voxtool.camera import Camera
@@ -25,11 +25,11 @@ from voxtool.choices import METHODS, SEARCHES, VIEWS
 from voxtool.cli.render import OPTIONS_OF
 from voxtool.errors import human
 from voxtool.files import read_adf, read_svo, read_tet, write_svo
-from voxtool.files.picture import rounded
+from voxtool.files.pictures.picture import rounded
 from voxtool.palette import palette
-from voxtool.rendering import averaged, camera_for, render
-from voxtool.svo.octree import Octree
-from voxtool.tets import transfer
+from voxtool.pictures.rendering import averaged, camera_for, render
+from voxtool.svo.octree.octree import Octree
+from voxtool.tets.pictures import transfer
 
 OCTREE, FIELD, VOLUME = "bunny.svo.h5", "bunny.adf.h5", "volume.tet.h5"
 SCENES = {"octree": OCTREE, "field": FIELD, "volume": VOLUME}

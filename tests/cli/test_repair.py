@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import meshes
 import pytest
 import wrecks
-from helpers_cli import fail, run, told, write_obj
+from helpers import meshes
+from helpers.cli import fail, run, told, write_obj
 
 import voxtool
 

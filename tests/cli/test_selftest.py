@@ -7,7 +7,7 @@ import json
 import math
 
 import pytest
-from helpers_cli import invoke
+from helpers.cli import invoke
 
 from voxtool.cli.selftest import report
 from voxtool.errors import CheckError, DeviceError

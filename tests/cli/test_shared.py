@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from conftest import usable_devices
-from helpers_cli import ENVIRONMENT, MODULE, fail, run, told
+from helpers.cli import ENVIRONMENT, MODULE, fail, run, told
 
 # Commands that run one job, and the names of their outputs by default.
 JOBS = {

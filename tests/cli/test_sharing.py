@@ -8,7 +8,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from helpers_writers import WRITERS, Outputs, check_kill, check_pair, made, start, until
+from helpers.writers import WRITERS, Outputs, check_kill, check_pair, made, start, until
 
 pytestmark = [
     pytest.mark.slow,

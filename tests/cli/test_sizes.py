@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
-from helpers_cli import run
+from helpers.cli import run
 
 from voxtool.errors import count_of, human
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, run
+from helpers.cli import fail, run
 
 import voxtool
 

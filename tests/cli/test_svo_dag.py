@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from helpers_cli import fail, run, told
+from helpers.cli import fail, run, told
 
 
 @pytest.fixture

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_attributes import attributed
-from helpers_cli import fail, process, run, told
-from helpers_octree import ball, octree_from_dense
+from helpers.attributes import attributed
+from helpers.cli import fail, process, run, told
+from helpers.octree import ball, octree_from_dense
 
 import voxtool
-from voxtool.svo.attribute_image import AttributeImage
-from voxtool.svo.image import VoxelImage
-from voxtool.svo.merged import MergedOctree
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.images.attribute_image import AttributeImage
+from voxtool.svo.images.image import VoxelImage
 
 OCTREE = octree_from_dense(ball((24, 20, 16), 0.4))
 POINTS = OCTREE.grid.to_world(np.random.default_rng(2).random((300, 3)) * 26 - 1)

@@ -11,8 +11,8 @@ import meshio
 import numpy as np
 import pytest
 from conftest import model
-from helpers_cli import fail, process, run, told
-from helpers_tets import CUBE, cube, lattice
+from helpers.cli import fail, process, run, told
+from helpers.tets import CUBE, cube, lattice
 
 from voxtool import build_tet, read_tet, read_unstructured
 

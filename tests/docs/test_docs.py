@@ -12,7 +12,7 @@ from pathlib import Path
 
 import click
 import pytest
-from helpers_cli import SHELL
+from helpers.cli import SHELL
 from PIL import Image
 
 import voxtool

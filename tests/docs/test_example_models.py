@@ -10,7 +10,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
-from helpers_cli import ROOT
+from helpers.cli import ROOT
 
 import voxtool
 from voxtool.mesh.mesh import Mesh

@@ -11,10 +11,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import SHELL, write_obj
+from helpers import meshes
+from helpers.cli import SHELL, write_obj
 
 import voxtool
 

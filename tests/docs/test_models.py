@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 from conftest import MODELS, model
-from helpers_cli import ROOT
+from helpers.cli import ROOT
 
 DATA = b"v 0 0 0\n" * 9000
 

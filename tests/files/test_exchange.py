@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_octree import WORLD, ball, octree_from_dense
+from helpers.octree import WORLD, ball, octree_from_dense
 
 import voxtool
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError
-from voxtool.files import formats, imports, npy
-from voxtool.files.atomic import MARK, atomic_folder
+from voxtool.files import formats, imports
+from voxtool.files.grids import npy
+from voxtool.files.grids.voxels import frame_of
 from voxtool.files.lattices import read_lattice
-from voxtool.files.voxels import frame_of
-from voxtool.svo.collect import Collector
+from voxtool.files.storage.atomic import MARK, atomic_folder
+from voxtool.svo.octree.from_pieces import Collector
 
 BALL = ball((40, 33, 21))
 SHAPES = {
@@ -85,7 +86,7 @@ def test_axes_of_frames() -> None:
 
 def test_pieces_are_turned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An array with other axes is read in pieces, which come to their places."""
-    from voxtool.files import voxels
+    from voxtool.files.grids import voxels
 
     rng = np.random.default_rng(1)
     values = rng.random((8, 9, 10)) < 0.3

@@ -21,17 +21,17 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import meshes
 import meshio
 import numpy as np
 import pytest
 from fuzz.bombs import endless_list, vtu_bomb, write_exodus_bomb
-from helpers_files import DATA, refusal, run_python
-from helpers_tets import cube
+from helpers import meshes
+from helpers.files import DATA, refusal, run_python
+from helpers.tets import cube
 
 import voxtool
 from voxtool.errors import FileError, MemoryLimitError, MeshError, VoxtoolError
-from voxtool.files.points import read_points
+from voxtool.files.tables.points import read_points
 
 SECRET = "a-secret-word"
 OPENED = 0x20  # IN_OPEN of inotify
@@ -340,9 +340,10 @@ BOMBS: dict[str, tuple[Callable[[Path], Any], str]] = {  # what writes it, what 
 # with what its parent holds.
 READ_BOMBS = """
 import json, os, sys, traceback, warnings
-import h5py, meshio, trimesh, lxml.etree, voxtool, voxtool.files.unstructured, voxtool.files.mesh
-import voxtool.files.svo_xml
-from voxtool.files.points import read_points
+import h5py, meshio, trimesh, lxml.etree, voxtool
+import voxtool.files.cells.unstructured, voxtool.files.meshes.mesh
+import voxtool.files.octrees.svo_xml
+from voxtool.files.tables.points import read_points
 warnings.simplefilter("ignore")
 def peak():
     lines = open("/proc/self/status").read().splitlines()

@@ -14,13 +14,15 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from helpers_files import DATA, FIELDS, ROOT, deep_field, golden_field, golden_volume
-from helpers_tets import assembly, built, linear
+from helpers.files import DATA, FIELDS, ROOT, deep_field, golden_field, golden_volume
+from helpers.tets import assembly, built, linear
 
 from voxtool import files
 from voxtool.choices import LAYOUTS
-from voxtool.files import adf_hdf5, svo_hdf5, tet_hdf5
-from voxtool.files.schema import CREATOR, FORMAT, FORMAT_VERSION, Attribute
+from voxtool.files.cells import tet_hdf5
+from voxtool.files.fields import adf_hdf5
+from voxtool.files.octrees import svo_hdf5
+from voxtool.files.storage.schema import CREATOR, FORMAT, FORMAT_VERSION, Attribute
 
 DOCUMENT = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
 SECTIONS = {

@@ -16,7 +16,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from voxtool.svo.layout import INSIDE, LINK, VALID
+from voxtool.svo.octree.layout import INSIDE, LINK, VALID
 
 REALS = (0.0, -0.0, 1.0, -1.0, 0.5, 1e-30, -1e-30, 1e30, -1e30, 1e-40, 3e38, np.inf, np.nan)
 FACTORS = (0.0, -1.0, 0.5, 2.0, 1e-3, 1e3, 1e-20, 1e20)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import voxtool
-from voxtool.files import threemf
+from voxtool.files.meshes import threemf
 from voxtool.mesh.appearance import Appearance
 
 MAKE_PARTS = Path(__file__).parents[2] / "examples" / "make_parts.py"

@@ -13,15 +13,16 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-import helpers_tets
-import meshes
 import numpy as np
 from click.testing import CliRunner
+from helpers import meshes
+from helpers import tets as helpers_tets
 
 import voxtool
 from voxtool.cli.main import cli
-from voxtool.files import threemf, write_mesh
+from voxtool.files import write_mesh
 from voxtool.files.formats import EXCHANGE
+from voxtool.files.meshes import threemf
 
 from . import looks
 

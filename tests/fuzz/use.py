@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import voxtool
-from voxtool.files.points import read_points
+from voxtool.files.tables.points import read_points
 
 from . import looks, samples
 from .cases import Case

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

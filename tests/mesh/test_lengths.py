@@ -5,9 +5,9 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import combinations
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 
 import voxtool
 from voxtool.choices import LENGTH_UNITS

@@ -6,15 +6,15 @@ import itertools
 import math
 from collections import Counter, defaultdict
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model
+from helpers import meshes
+from helpers.meshes import mesh_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from meshes import mesh_of
 
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.mesh.loops import Loops, find_loops, tubes
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, topology_of, volume

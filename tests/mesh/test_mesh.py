@@ -22,9 +22,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import MeshError, printable
-from voxtool.files import obj
-from voxtool.files.mesh import as_mesh, load_mesh
-from voxtool.files.numbers import OddityError
+from voxtool.files.meshes import obj
+from voxtool.files.meshes.mesh import as_mesh, load_mesh
+from voxtool.files.storage.numbers import OddityError
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.topology import check_topology

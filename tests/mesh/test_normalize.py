@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
+from helpers.cli import fail, run, told
 
 import voxtool
 from voxtool import files

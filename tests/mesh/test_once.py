@@ -4,8 +4,8 @@ import gc
 import weakref
 
 import numpy as np
+from helpers.meshes import box, mesh_of
 
-from tests.meshes import box, mesh_of
 from voxtool.mesh.once import once
 
 

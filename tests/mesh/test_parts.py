@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import meshes
 import numpy as np
+from helpers import meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +13,7 @@ from voxtool.mesh.parts import Parts, find_parts
 from voxtool.mesh.shells import find_shells
 from voxtool.mesh.topology import boundary_of, topology_of
 from voxtool.opencl import Device
-from voxtool.svo.fill.caps import find_boundary
+from voxtool.svo.voxelization.fill.caps import find_boundary
 
 
 def parts_of(mesh: Mesh, device: Device) -> Parts:

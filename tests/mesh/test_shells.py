@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model
+from helpers import meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.mesh.loops import find_loops
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.shells import Patches, Shells, find_patches, find_shells

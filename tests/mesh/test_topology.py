@@ -10,10 +10,9 @@ import math
 from collections import Counter, defaultdict
 from fractions import Fraction
 
-import meshes
 import numpy as np
-import oracles
 import pytest
+from helpers import meshes, oracles
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -8,11 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from helpers_cli import write_obj
+from helpers import meshes
+from helpers.cli import write_obj
 
 from voxtool.cli.main import cli
 from voxtool.errors import DeviceError, DeviceWarning, MemoryLimitError

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from voxtool.adf.query import SEARCHES
+from voxtool.adf.queries.query import SEARCHES
 from voxtool.errors import DeviceError
 from voxtool.opencl import Device, headers, open_device, program
-from voxtool.svo.layout import NODE
-from voxtool.tets.integrate import INTEGRATORS
+from voxtool.svo.octree.layout import NODE
+from voxtool.tets.pictures.integrate import INTEGRATORS
 
 ENUMERATIONS = {  # constants that a header counts from 0, by names of the host
-    "adf/query.h": SEARCHES,
-    "tets/integrators.h": INTEGRATORS,
+    "adf/queries/query.h": SEARCHES,
+    "tets/pictures/integrators.h": INTEGRATORS,
 }
 
 
@@ -36,7 +36,7 @@ RECORD = np.dtype([("a", "<u8"), ("b", "<i4"), ("c", "<u4"), ("d", "<i8")])
 @pytest.mark.parametrize(
     ("record", "name", "head"),
     [
-        (NODE, "svo_node", '#include "svo/octree.h"'),
+        (NODE, "svo_node", '#include "svo/octree/octree.h"'),
         (RECORD, "record", program.c_struct("record", RECORD)),
     ],
 )
@@ -119,7 +119,9 @@ def where(text: str, wanted: str) -> tuple[str, int]:
 def test_every_kernel_includes_only_what_there_is() -> None:
     folder = program.kernel_folder()
     sources = [p.relative_to(folder).as_posix() for p in folder.rglob("*.cl")]
-    assert {"opencl/scan.cl", "svo/scan.cl", "svo/build.cl"} <= set(sources)
+    assert {"opencl/scan.cl", "svo/voxelization/scan_conversion.cl", "svo/octree/build.cl"} <= set(
+        sources
+    )
     for source in sources:
         text = program.flatten(source)
         assert "#include" not in text

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import meshes
 import numpy as np
 import pytest
 import wrecks
 from conftest import model
+from helpers import meshes
 
 import voxtool
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError

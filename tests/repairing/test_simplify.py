@@ -6,11 +6,11 @@ import sys
 from functools import cache
 from typing import Any
 
-import meshes
 import numpy as np
 import pytest
 import wrecks
 from conftest import model
+from helpers import meshes
 
 import voxtool
 from voxtool.errors import VoxtoolError

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 
 import voxtool
 from voxtool.errors import VoxtoolError
 from voxtool.repairing.walls import beyond, plate, within
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 
 BALL = meshes.icosphere(4)
 DIM = 48

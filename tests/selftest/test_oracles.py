@@ -2,12 +2,10 @@
 
 from itertools import permutations, product
 
-import meshes
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from oracles import (
+from helpers import meshes
+from helpers.oracles import (
     active_nodes,
     expected_octree_nodes,
     solid,
@@ -15,6 +13,8 @@ from oracles import (
     surface26,
     to_dense,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from voxtool.selftest import shapes
 

@@ -7,9 +7,9 @@ import zlib
 from dataclasses import replace
 from typing import Any
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 
 import voxtool
 from voxtool.selftest.pages import unpacked, wrong_values

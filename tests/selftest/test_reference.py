@@ -8,11 +8,11 @@ from itertools import pairwise, product
 import mpmath
 import numpy as np
 import pytest
-from helpers_tets import tet_grid
+from helpers.tets import tet_grid
 
 from voxtool.camera import Camera, Rays
 from voxtool.selftest.reference import reference, segments, weights
-from voxtool.tets.transfer import TransferFunction
+from voxtool.tets.pictures.transfer import TransferFunction
 
 TETRAHEDRON = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1.0)])
 ONE = np.array([(0, 1, 2, 3)])

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from conftest import usable_devices
-from helpers_distance import brute
+from helpers.distance import brute
 
 from voxtool.errors import DeviceError
 from voxtool.opencl import Device, open_device, program

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from helpers_cli import ENVIRONMENT, MODULE, told
+from helpers.cli import ENVIRONMENT, MODULE, told
 
 import voxtool
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import MODELS
-from helpers_cli import ENVIRONMENT
-from helpers_formats import READERS, WRITERS
-from helpers_octree import WORLD, ball
+from helpers.cli import ENVIRONMENT
+from helpers.formats import READERS, WRITERS
+from helpers.octree import WORLD, ball
 
 import voxtool
 from voxtool.files import formats
@@ -80,7 +80,7 @@ def test_round_trips(name: str, tmp_path: Path) -> None:
 
 LAYERS = """
 import sys, numpy as np, voxtool
-from voxtool.svo.collect import Collector
+from voxtool.svo.octree.from_pieces import Collector
 count, path = int(sys.argv[1]), sys.argv[2]
 grid = voxtool.Grid((3840, 2160, count), (0, 0, 0), (1, 1, 1))
 collector = Collector(grid)

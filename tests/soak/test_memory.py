@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import ENVIRONMENT, run
+from helpers.cli import ENVIRONMENT, run
 
 pytestmark = pytest.mark.soak
 LIMIT = 2 << 30

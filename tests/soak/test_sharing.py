@@ -13,8 +13,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from helpers_cli import ENVIRONMENT, run
-from helpers_writers import WINDOWED, WRITERS, Outputs, check_kill, check_pair
+from helpers.cli import ENVIRONMENT, run
+from helpers.writers import WINDOWED, WRITERS, Outputs, check_kill, check_pair
 
 pytestmark = pytest.mark.soak
 
@@ -47,9 +47,9 @@ STORED = """
 import sys, time
 import numpy as np
 from voxtool.errors import FileError
-from voxtool.files.atomic import atomic_path
-from voxtool.files.windows import Window, Windows
-from voxtool.svo.layout import BRICK
+from voxtool.files.storage.atomic import atomic_path
+from voxtool.files.octrees.windows import Window, Windows
+from voxtool.svo.octree.layout import BRICK
 target, number, resume, keep = sys.argv[1], int(sys.argv[2]), *map(bool, sys.argv[3:])
 states, bricks = np.full(99, number, np.uint8), np.full(99, number, BRICK)
 try:

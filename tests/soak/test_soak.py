@@ -16,14 +16,13 @@ import sys
 import time
 from pathlib import Path
 
-import meshes
 import numpy as np
-import oracles
 import pytest
 from conftest import MODELS, SOAKED, opened, usable_devices
 from fuzz.driver import Session
-from helpers_cli import ENVIRONMENT, MODULE
-from helpers_parts import check_scene, random_scene
+from helpers import meshes, oracles
+from helpers.cli import ENVIRONMENT, MODULE
+from helpers.parts import check_scene, random_scene
 
 import voxtool
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import opened, usable_devices
-from helpers_thin import prove
+from helpers.thin import prove
 
 from voxtool.selftest import thin
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import meshes
 import numpy as np
 import pytest
 from conftest import opened, usable_devices
-from meshes import mesh_of
+from helpers import meshes
+from helpers.meshes import mesh_of
 
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.mesh.mesh import Mesh

@@ -6,18 +6,18 @@ from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model
-from helpers_distance import around, brute, exact
+from helpers import meshes
+from helpers.distance import around, brute, exact
+from helpers.meshes import mesh_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from meshes import mesh_of
 
 import voxtool
 from voxtool.errors import DeviceError, MeshError, VoxtoolError
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.spatial import bvh
 from voxtool.spatial.bvh import Frame, build_tree, distinct_faces

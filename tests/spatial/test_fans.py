@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import meshes
 import numpy as np
 import pytest
-from helpers_parts import check_scene, random_scene
+from helpers import meshes
+from helpers.parts import check_scene, random_scene
 
 import voxtool
 from voxtool.distances import plan_distance, plan_field
 from voxtool.grid import Grid
 from voxtool.repairing.job import plan_repair
 from voxtool.spatial.fill_rule import inside_of_closed
-from voxtool.svo.voxelize import plan_voxelize, voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize, voxelize
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh

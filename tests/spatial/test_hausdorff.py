@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 
-import meshes
 import numpy as np
 import pytest
 from conftest import opened, usable_devices
-from helpers_distance import brute
-from meshes import mesh_of
+from helpers import meshes
+from helpers.distance import brute
+from helpers.meshes import mesh_of
 
 import voxtool
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError

@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import meshes
 import numpy as np
 import pytest
-from helpers_distance import around
-from helpers_signs import winding
-from meshes import mesh_of
+from helpers import meshes
+from helpers.distance import around
+from helpers.meshes import mesh_of
+from helpers.signs import winding
 
-from voxtool.adf.survey import Survey
+from voxtool.adf.construction.survey import Survey
 from voxtool.spatial.signed_distance import NUMBERED, SignedDistance
 from voxtool.spatial.winding_number import WindingNumber
 

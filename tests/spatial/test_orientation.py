@@ -6,12 +6,12 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model
+from helpers import meshes
 
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.crossings import count_crossings
 from voxtool.spatial.orientation import orient

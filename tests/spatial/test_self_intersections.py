@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model
+from helpers import meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.selftest.contacts import beside_edges
 from voxtool.selftest.oracles import whole

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from voxtool.adf.survey import Survey
+from voxtool.adf.construction.survey import Survey
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.selftest import shapes
 from voxtool.spatial.winding_number import WindingNumber

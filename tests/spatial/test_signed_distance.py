@@ -8,20 +8,20 @@ from functools import cache
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model, opened, usable_devices
-from helpers_distance import around, brute, exact
-from helpers_signs import inside, winding
+from helpers import meshes
+from helpers.distance import around, brute, exact
+from helpers.meshes import mesh_of
+from helpers.signs import inside, winding
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from meshes import mesh_of
 
 import voxtool
 from voxtool import distance
 from voxtool.errors import VoxtoolError
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.selftest.contacts import beside_edges
 from voxtool.spatial import bvh

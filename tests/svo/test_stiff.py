@@ -6,7 +6,7 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from helpers_stiff import CLOSED, KINDS, stiff_scene, volume_off, voxels_wrong
+from helpers.stiff import CLOSED, KINDS, stiff_scene, volume_off, voxels_wrong
 
 from voxtool.opencl import Device
 

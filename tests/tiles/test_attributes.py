@@ -9,20 +9,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
-from meshes import UNIT
-from svo.test_voxelize import lattice_grid, lattice_mesh
+from helpers import meshes
+from helpers.cli import fail, run, told
+from helpers.meshes import UNIT
+from svo.voxelization.test_voxelize import lattice_grid, lattice_mesh
 from tiles.test_flooding import scraps
 
 import voxtool
 from voxtool import tiles
 from voxtool.errors import MemoryLimitError
 from voxtool.files import read_svo, write_svo
-from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Windows
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.files.octrees.windows import Windows
 from voxtool.grid import Grid
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.joining import join
@@ -32,8 +32,8 @@ from voxtool.svo.attribution.colours import plan_attributes
 from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
 from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.attribution.part_fractions import plan_part_fractions
-from voxtool.svo.stored_volume import stored_volume
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.octree.stored_volume import stored_volume
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 from voxtool.tiles.attributed import SurfaceOfWindows
 from voxtool.tiles.fractions import BarsJob
 from voxtool.tiles.plan import plan_windows

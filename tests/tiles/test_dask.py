@@ -15,20 +15,20 @@ from typing import Any, cast
 
 import pytest
 from distributed import Client, LocalCluster
-from helpers_cli import fail, run, told
+from helpers.cli import fail, run, told
 from tiles.test_attributes import warned
 
 import voxtool
 import voxtool.tiles
 from voxtool.errors import DeviceError, MemoryLimitError
 from voxtool.files import read_svo
-from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Windows
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.files.octrees.windows import Windows
 from voxtool.grid import Grid
 from voxtool.svo.attribution.request import plan_octree
-from voxtool.svo.layout import MAX_LINK
-from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.octree.layout import MAX_LINK
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 from voxtool.tiles import cluster
 from voxtool.tiles.attributed import EXPOSED
 from voxtool.tiles.cluster import connected, results

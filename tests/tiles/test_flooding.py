@@ -5,20 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import run, told
-from meshes import UNIT
-from svo.test_voxelize import lattice_grid, lattice_mesh
+from helpers import meshes
+from helpers.cli import run, told
+from helpers.meshes import UNIT
+from svo.voxelization.test_voxelize import lattice_grid, lattice_mesh
 
 from voxtool.files import write_svo
-from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Windows
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.files.octrees.windows import Windows
 from voxtool.grid import Grid
 from voxtool.opencl import Device
-from voxtool.svo.flood_window import FloodWindowJob
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.flood_window import FloodWindowJob
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.windows import WindowsJob
 

@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
-from helpers_merged import OCTREES
+from helpers.cli import fail, run, told
+from helpers.merged import OCTREES
 
 from voxtool.errors import MemoryLimitError
 from voxtool.files import open_svo
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
-from voxtool.svo.links import level_states
-from voxtool.svo.merge import Subtrees, join, merge, no_subtrees
-from voxtool.svo.merged import MERGE_BYTES, MergedOctree
-from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.dag.merge import Subtrees, join, merge, no_subtrees
+from voxtool.svo.dag.merged import MERGE_BYTES, MergedOctree
+from voxtool.svo.octree.links import level_states
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 from voxtool.tiles import workers
 from voxtool.tiles.plan import plan_windows
 from voxtool.tiles.subtree import depth_of, subtree_of

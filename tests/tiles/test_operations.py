@@ -8,27 +8,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
-from helpers_files import memory_below
+from helpers.cli import fail, run, told
+from helpers.files import memory_below
+from helpers.meshes import icosphere
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from meshes import icosphere
 
 import voxtool
 import voxtool.tiles
 from voxtool.choices import ELEMENTS, MORPHOLOGY, OPERATIONS
 from voxtool.errors import MemoryLimitError
 from voxtool.files import open_svo, read_svo, write_svo
-from voxtool.files.windows import Windows
+from voxtool.files.octrees.windows import Windows
 from voxtool.grid import Grid
 from voxtool.opencl import Device
-from voxtool.svo.booleans import combine, plan_combine
-from voxtool.svo.cells import Cells
-from voxtool.svo.links import EMPTY, FULL, REFINED
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.morphology import plan_morph
-from voxtool.svo.octree import Octree
-from voxtool.svo.placing import placed_octree
+from voxtool.svo.cells.subtrees import Cells
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.links import EMPTY, FULL, REFINED
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.booleans import combine, plan_combine
+from voxtool.svo.sets.morphology import plan_morph
+from voxtool.svo.sets.placing import placed_octree
 from voxtool.tiles.combining import CombineWindowsJob
 from voxtool.tiles.make import in_memory
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_cli import fail, told
+from helpers.cli import fail, told
 
 from voxtool.files import read_svo, write_svo
-from voxtool.files.spool import Spool
+from voxtool.files.storage.spool import Spool
 from voxtool.opencl import Device
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import Octree
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_unread
 from voxtool.tiles.surface import SurfaceWindowsJob
 

@@ -12,20 +12,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
+from helpers.cli import fail, run, told
 
 from voxtool import claims
 from voxtool.errors import FileError
 from voxtool.files import read_svo
-from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Key, Store, Window, Windows, write_beside
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.files.octrees.windows import Key, Store, Window, Windows, write_beside
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.links import nodes_of, offsets_of
-from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.links import nodes_of, offsets_of
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.voxelize import VoxelizeJob, plan_voxelize
 from voxtool.tiles.subtree import empty_subtree, joined, subtree_of
 from voxtool.tiles.windows import WindowsJob
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_attributes import attributed, scattered
-from helpers_browser import LARGE, Viewer, check_same, opened, written
-from helpers_cli import run
+from helpers.attributes import attributed, scattered
+from helpers.browser import LARGE, Viewer, check_same, opened, written
+from helpers.cli import run
 
 import voxtool
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.octree import Octree
 from voxtool.viewer.job import plan_view
 
 SIZE = (96, 80)

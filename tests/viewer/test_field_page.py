@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers_browser import Viewer, check_same, nearer, opened, written
+from helpers.browser import Viewer, check_same, nearer, opened, written
 
 import voxtool
 from voxtool.camera import Camera

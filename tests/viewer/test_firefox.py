@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_browser import NAMES, PATIENCE, check_same, written
+from helpers.browser import NAMES, PATIENCE, check_same, written
 
 import voxtool
 

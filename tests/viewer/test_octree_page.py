@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import model
-from helpers_browser import LARGE, Viewer, check_same, nearer, opened, written
-from helpers_cli import run
+from helpers.browser import LARGE, Viewer, check_same, nearer, opened, written
+from helpers.cli import run
 from PIL import Image
 
 import voxtool
 from voxtool.camera import Camera
-from voxtool.svo.raycast import depths
+from voxtool.svo.pictures.raycast import depths
 
 SIZE = (96, 80)
 pytestmark = pytest.mark.slow

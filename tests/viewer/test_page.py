@@ -11,10 +11,10 @@ import zlib
 from pathlib import Path
 
 import h5py
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
+from helpers import meshes
+from helpers.cli import fail, run, told
 from lxml import html
 
 import voxtool
@@ -265,9 +265,9 @@ def test_a_page_of_a_volume_is_small(here: Path) -> None:
 
 
 def test_headers_of_kernels_become_glsl() -> None:
-    made = page.glsl_of("tets/segment.h")
+    made = page.glsl_of("tets/pictures/segment.h")
     numbers = re.compile(r"\d+\.\d+(?:e-?\d+)?f")
-    source = (page.kernel_folder() / "tets/segment.h").read_text(encoding="utf-8")
+    source = (page.kernel_folder() / "tets/pictures/segment.h").read_text(encoding="utf-8")
     code = re.sub(r"^\s*//.*\n", "", source, flags=re.MULTILINE)
     assert numbers.findall(made) == numbers.findall(code)
     for foreign in ("floats", "ints", "#include", "*zeta", "&", "to_int", "as_float"):

@@ -19,8 +19,8 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from helpers_browser import Viewer
-from helpers_cli import ENVIRONMENT, MODULE, fail
+from helpers.browser import Viewer
+from helpers.cli import ENVIRONMENT, MODULE, fail
 
 import voxtool
 from voxtool.viewer import serve

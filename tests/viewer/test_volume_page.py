@@ -8,17 +8,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import golden_picture
 import numpy as np
 import pytest
-from helpers_browser import Viewer, check_same, opened, written
-from helpers_cli import run
+from golden import picture as golden_picture
+from helpers.browser import Viewer, check_same, opened, written
+from helpers.cli import run
 from PIL import Image
 
 import voxtool
 from voxtool.camera import Camera
 from voxtool.selftest.reference import segments
-from voxtool.tets.transfer import TransferFunction, default_transfer, named
+from voxtool.tets.pictures.transfer import TransferFunction, default_transfer, named
 from voxtool.viewer.job import plan_view
 
 SIZE = (72, 60)

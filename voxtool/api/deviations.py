@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from voxtool.api.octrees import MeshLike
-from voxtool.files.mesh import as_mesh
+from voxtool.files.meshes.mesh import as_mesh
 from voxtool.opencl import Device
 from voxtool.spatial import deviation as deviations
 from voxtool.spatial import hausdorff as bounds

@@ -8,10 +8,10 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from voxtool import distances
-from voxtool.adf import query as adf_query
-from voxtool.adf.build import FieldJob
-from voxtool.adf.field import DistanceField
-from voxtool.adf.host_query import QueryResult
+from voxtool.adf.construction.build import FieldJob
+from voxtool.adf.field.field import DistanceField
+from voxtool.adf.field.host_query import QueryResult
+from voxtool.adf.queries import query as adf_query
 from voxtool.api.octrees import MeshLike, Path, opened
 from voxtool.choices import (
     DEFAULT_MAX_LEVEL,
@@ -24,9 +24,9 @@ from voxtool.choices import (
 from voxtool.distances import DistanceGridJob, DistanceJob
 from voxtool.files import read_adf
 from voxtool.files.lattices import placed
-from voxtool.files.mesh import as_mesh
-from voxtool.files.spool import Spool
-from voxtool.files.streams import STREAM
+from voxtool.files.meshes.mesh import as_mesh
+from voxtool.files.storage.spool import Spool
+from voxtool.files.storage.streams import STREAM
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device, default_device

@@ -11,16 +11,16 @@ from voxtool.files.lattices import unit_checked
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device
-from voxtool.svo import components as parts
-from voxtool.svo import labels, morphology
-from voxtool.svo import resample as resampling
-from voxtool.svo import thin as thinning
-from voxtool.svo.components import ComponentsJob
-from voxtool.svo.labels import LabelJob, Labels
-from voxtool.svo.morphology import MorphJob
-from voxtool.svo.octree import Octree
-from voxtool.svo.resample import DEFAULT_THRESHOLD, ResampleJob
-from voxtool.svo.thin import ThinJob
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets import components as parts
+from voxtool.svo.sets import labels, morphology
+from voxtool.svo.sets import resample as resampling
+from voxtool.svo.sets import thin as thinning
+from voxtool.svo.sets.components import ComponentsJob
+from voxtool.svo.sets.labels import LabelJob, Labels
+from voxtool.svo.sets.morphology import MorphJob
+from voxtool.svo.sets.resample import DEFAULT_THRESHOLD, ResampleJob
+from voxtool.svo.sets.thin import ThinJob
 
 
 def plan_morph(

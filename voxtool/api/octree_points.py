@@ -9,10 +9,10 @@ from voxtool.api.octrees import Path, opened
 from voxtool.files import read_drawn
 from voxtool.files.formats import OCTREE
 from voxtool.opencl import Device
-from voxtool.svo import query
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import Octree
-from voxtool.svo.query import OctreeAnswers, QueryJob
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.queries import query
+from voxtool.svo.queries.query import OctreeAnswers, QueryJob
 
 
 def plan_query_svo(

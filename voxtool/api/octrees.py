@@ -6,8 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
-from voxtool import report
-from voxtool.adf.field import DistanceField
+from voxtool.adf.field.field import DistanceField
 from voxtool.adf.surface.extract import plan_field_surface
 from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.choices import (
@@ -21,31 +20,32 @@ from voxtool.choices import (
     SHARP,
     VOXEL_LEVEL,
 )
+from voxtool.diagnosis import report
+from voxtool.diagnosis.report import Report
 from voxtool.errors import VoxtoolError
 from voxtool.files import read_shape, read_svo
 from voxtool.files.lattices import placed
-from voxtool.files.mesh import as_mesh
+from voxtool.files.meshes.mesh import as_mesh
 from voxtool.grid import Grid, grid_of
 from voxtool.job import one_call
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.report import Report
 from voxtool.spatial import orientation
-from voxtool.svo import booleans
-from voxtool.svo import compare as comparing
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.fraction import FractionJob
 from voxtool.svo.attribution.labels import PartLabelsJob
 from voxtool.svo.attribution.request import kept_for, plan_octree
-from voxtool.svo.booleans import CombineJob
-from voxtool.svo.compare import CompareJob, Comparison
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets import booleans
+from voxtool.svo.sets import compare as comparing
+from voxtool.svo.sets.booleans import CombineJob
+from voxtool.svo.sets.compare import CompareJob, Comparison
 from voxtool.svo.surface import extract as surfaces
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 from voxtool.svo.surface.sharp import source_of
-from voxtool.svo.voxelize import VoxelizeJob
+from voxtool.svo.voxelization.voxelize import VoxelizeJob
 
 Path: TypeAlias = str | os.PathLike[str]
 # A mesh: a Mesh, the path of a mesh file, a trimesh.Trimesh or whatever else has vertices and

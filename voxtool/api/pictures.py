@@ -9,28 +9,29 @@ from typing import Any
 
 import numpy as np
 
-from voxtool import files, rendering
-from voxtool.adf.field import DistanceField
+from voxtool import files
+from voxtool.adf.field.field import DistanceField
 from voxtool.api.octrees import Path, opened, voxelize
 from voxtool.camera import Camera, Rays
 from voxtool.choices import LAYOUTS, MAX_TEXTURE_2D
 from voxtool.files import read_unstructured
-from voxtool.files.picture import rounded, write_png
+from voxtool.files.pictures.picture import rounded, write_png
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.rendering import RenderJob
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.labels import Labels
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import Octree
+from voxtool.pictures import rendering
+from voxtool.pictures.rendering import RenderJob
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.labels import Labels
+from voxtool.svo.solvers.wall_links import WallLinks
 from voxtool.svo.surface.isosurface import Isosurface
-from voxtool.svo.wall_links import WallLinks
-from voxtool.tets import textures as tets
-from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.textures import VolumeJob
-from voxtool.tets.volume import TetVolume
+from voxtool.tets.construction import textures as tets
+from voxtool.tets.construction.textures import VolumeJob
+from voxtool.tets.volume.mesh import UnstructuredMesh
+from voxtool.tets.volume.volume import TetVolume
 
 PICTURE_SIZE = (256, 256)  # pixels of a picture in a notebook
 PICTURE_DIM = 128  # voxels along the longest side of a mesh that is shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from voxtool.api.octrees import MeshLike
 from voxtool.choices import NORMALIZED
-from voxtool.files.mesh import as_mesh
+from voxtool.files.meshes.mesh import as_mesh
 from voxtool.grid import Grid
 from voxtool.mesh import lengths
 from voxtool.mesh import normalize as normalized

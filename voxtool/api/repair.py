@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from voxtool.api.octrees import MeshLike
 from voxtool.choices import FILLS
-from voxtool.files.mesh import as_mesh
+from voxtool.files.meshes.mesh import as_mesh
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device

@@ -6,13 +6,13 @@ from voxtool.api.octrees import MeshLike, Path, opened
 from voxtool.choices import FLUIDS
 from voxtool.files import read_drawn
 from voxtool.files.formats import OCTREE
-from voxtool.files.mesh import as_mesh
+from voxtool.files.meshes.mesh import as_mesh
 from voxtool.job import one_call
 from voxtool.opencl import Device
-from voxtool.svo import wall_links as links
-from voxtool.svo.content import OctreeContent
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.solvers import wall_links as links
+from voxtool.svo.solvers.wall_links import LinksJob, WallLinks
 from voxtool.svo.surface.sharp import source_of
-from voxtool.svo.wall_links import LinksJob, WallLinks
 
 
 def plan_wall_links(

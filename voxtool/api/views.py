@@ -11,9 +11,9 @@ from typing import Any
 
 from voxtool import files
 from voxtool.api.octrees import Path, voxelize
-from voxtool.files.page import write_page
+from voxtool.files.pictures.page import write_page
 from voxtool.mesh.mesh import Mesh
-from voxtool.rendering import Content
+from voxtool.pictures.rendering import Content
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.viewer import job
 from voxtool.viewer.job import ViewJob

@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from voxtool.adf.query import FieldQuery
+from voxtool.adf.queries.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.points import Ablation
 from voxtool.svo.surface.plan import COMPACTIONS
-from voxtool.tets.scene import TRANSPARENT
+from voxtool.tets.pictures.scene import TRANSPARENT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.bench.timing import Bench
     from voxtool.job import Job
-    from voxtool.rendering import RenderJob
-    from voxtool.svo.octree import Octree
+    from voxtool.pictures.rendering import RenderJob
+    from voxtool.svo.octree.octree import Octree
     from voxtool.svo.surface.extract import ExtractJob
     from voxtool.svo.surface.isosurface import Isosurface
 

@@ -16,23 +16,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.accuracy import measure_errors
-from voxtool.adf.cells import cell_of, key_of
-from voxtool.adf.hashing import build_hash
-from voxtool.adf.query import FieldQuery
-from voxtool.adf.survey import cube_of
+from voxtool.adf.construction.accuracy import measure_errors
+from voxtool.adf.construction.survey import cube_of
+from voxtool.adf.field.cells import cell_of, key_of
+from voxtool.adf.field.hashing import build_hash
+from voxtool.adf.queries.query import FieldQuery
 from voxtool.bench import ablation, timing
 from voxtool.bench.distance import build_seconds
 from voxtool.bench.points import MEASURES
 from voxtool.bench.references import distances_compared
 from voxtool.distances import plan_distance, plan_field
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.spatial.sampling import sample_cube
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.bench.points import Ablation, Point
     from voxtool.bench.request import Request
     from voxtool.bench.timing import Bench

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.choices import LABEL_STYLES, VOXEL_FACES
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.appearance import Appearance
-from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.attribution.colours import plan_attributes
 from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
-from voxtool.svo.image import VoxelImage
-from voxtool.svo.octree import Octree
+from voxtool.svo.images.attribute_image import AttributeImage
+from voxtool.svo.images.image import VoxelImage
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,19 +9,19 @@ import numpy as np
 
 from voxtool.bench.timing import by_turns
 from voxtool.choices import OPERATIONS
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
-from voxtool.svo.booleans import combine
-from voxtool.svo.compare import COMPARE, compare
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.sets.booleans import combine
+from voxtool.svo.sets.compare import COMPARE, compare
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
 WORK = "two octrees to one"
 DENSE_DIM = 256  # up to which numpy has dense arrays

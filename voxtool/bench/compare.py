@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from voxtool.errors import FileError, one_line
-from voxtool.files.streams import PathLike, input_name, open_whole, read_error
+from voxtool.files.storage.streams import PathLike, input_name, open_whole, read_error
 
 FORMAT, MAJOR = "voxtool-bench", "1"
 MOST_BYTES = 64 << 20  # bytes of a report

@@ -10,19 +10,19 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from voxtool.adf.build import plan_adf
-from voxtool.adf.survey import cube_of
+from voxtool.adf.construction.build import plan_adf
+from voxtool.adf.construction.survey import cube_of
 from voxtool.bench.timing import by_turns
 from voxtool.choices import FILLS, MODES, SURFACE_NETS
+from voxtool.diagnosis.report import diagnose
 from voxtool.errors import VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
-from voxtool.report import diagnose
 from voxtool.selftest.crowds import CROWDS
 from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.svo.surface.extract import extract
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

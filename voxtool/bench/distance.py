@@ -16,19 +16,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.survey import cube_of
+from voxtool.adf.construction.survey import cube_of
 from voxtool.bench import timing
 from voxtool.bench.references import distance_errors
 from voxtool.choices import SURFACE_NETS
 from voxtool.distances import plan_distance, plan_distance_grid
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.selftest.oracles import distances
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.hausdorff import hausdorff
 from voxtool.spatial.sampling import SurfaceSampler, sample_cube
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from voxtool.adf.build import build_adf
-from voxtool.adf.samples import FieldSamples, grid_over
+from voxtool.adf.construction.build import build_adf
+from voxtool.adf.queries.samples import FieldSamples, grid_over
 from voxtool.bench.timing import by_turns
 from voxtool.bench.view import bytes_of_file
 from voxtool.choices import LATTICES
@@ -18,14 +18,14 @@ from voxtool.errors import VoxtoolError, VoxtoolWarning
 from voxtool.files import read_svo, write_svo
 from voxtool.files.exchange import plan_export
 from voxtool.files.formats import EXCHANGE, EXPORTS, IMAGES, ending, format_of
+from voxtool.files.grids.voxels import array_of
 from voxtool.files.imports import Source, read_voxels
-from voxtool.files.mesh import load_mesh
-from voxtool.files.voxels import array_of
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.svo.compare import count_differences
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.voxelize import voxelize
-from voxtool.svo.wall_links import WallLinks, plan_wall_links
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.sets.compare import count_differences
+from voxtool.svo.solvers.wall_links import WallLinks, plan_wall_links
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
 FORMATS = tuple(name for name in EXPORTS if EXCHANGE[name].parts)  # the others hold one slice
 FIELD_FORMATS = tuple(name for name in EXPORTS if EXCHANGE[name].dense or EXCHANGE[name].levels)

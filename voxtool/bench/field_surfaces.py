@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.build import build_adf
-from voxtool.adf.query import query_adf
+from voxtool.adf.construction.build import build_adf
+from voxtool.adf.queries.query import query_adf
 from voxtool.adf.surface.extract import plan_field_surface
 from voxtool.bench import timing
 from voxtool.bench.references import Reference, capped, surface_of_peer
 from voxtool.choices import SHARP
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
 

@@ -9,12 +9,12 @@ import numpy as np
 
 from voxtool.bench.timing import by_turns
 from voxtool.choices import FRACTION_TYPES
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
-from voxtool.svo.layout import BRICK_VOXELS
-from voxtool.svo.stored_volume import stored_volume
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.octree.layout import BRICK_VOXELS
+from voxtool.svo.octree.stored_volume import stored_volume
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
 WORK = "mesh to fractions of voxels"
 POINTS = 10  # along each side of a voxel

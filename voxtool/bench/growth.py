@@ -13,26 +13,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.query import query_adf
-from voxtool.adf.survey import cube_of
+from voxtool.adf.construction.survey import cube_of
+from voxtool.adf.queries.query import query_adf
 from voxtool.bench.request import is_volume
 from voxtool.camera import Camera
 from voxtool.choices import MARCHING_CUBES, SURFACE_NETS
 from voxtool.distances import plan_distance, plan_field
 from voxtool.files import read_unstructured
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.mesh.watertight import watertight
-from voxtool.rendering import camera_for, plan_render, render
+from voxtool.pictures.rendering import camera_for, plan_render, render
 from voxtool.selftest.shapes import subdivide
 from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.surface.extract import extract
-from voxtool.svo.voxelize import voxelize
-from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.mesh import UnstructuredMesh, volume_cells
-from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import named
+from voxtool.svo.voxelization.voxelize import voxelize
+from voxtool.tets.construction.conforming import tetrahedra
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.pictures.transfer import named
+from voxtool.tets.volume.mesh import UnstructuredMesh, volume_cells
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

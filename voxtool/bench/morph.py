@@ -11,13 +11,13 @@ import numpy as np
 
 from voxtool.bench.timing import by_turns
 from voxtool.choices import MORPHOLOGY
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.svo.labels import plan_components
-from voxtool.svo.morphology import plan_morph
-from voxtool.svo.octree import Octree
-from voxtool.svo.resample import plan_resample
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.labels import plan_components
+from voxtool.svo.sets.morphology import plan_morph
+from voxtool.svo.sets.resample import plan_resample
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

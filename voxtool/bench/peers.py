@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
-    from voxtool.tets.transfer import TransferFunction
+    from voxtool.tets.pictures.transfer import TransferFunction
 
     Distance = Callable[[np.ndarray], np.ndarray]
     Arrays = tuple[np.ndarray, np.ndarray]  # vertices and faces

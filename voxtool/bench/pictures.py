@@ -17,10 +17,10 @@ import numpy as np
 
 from voxtool.bench import timing
 from voxtool.distances import plan_field
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.rendering import camera_for, plan_render
-from voxtool.svo.voxelize import voxelize
+from voxtool.pictures.rendering import camera_for, plan_render
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from voxtool.bench.timing import Bench
     from voxtool.camera import Rays
     from voxtool.mesh.mesh import Mesh
-    from voxtool.rendering import Content
+    from voxtool.pictures.rendering import Content
 
 WITHOUT = {"outline": "--peers casts rays at the mesh itself"}
 

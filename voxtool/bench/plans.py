@@ -22,7 +22,7 @@ from voxtool.selftest.crowds import needles
 from voxtool.selftest.shapes import ball, box, join, octahedron
 from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

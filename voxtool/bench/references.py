@@ -16,8 +16,8 @@ from voxtool.memory import available_memory
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import volume
 from voxtool.spatial.deviation import deviation
-from voxtool.svo.fill.caps import find_boundary, find_caps
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.fill.caps import find_boundary, find_caps
 from voxtool.vector import cross, length
 
 if TYPE_CHECKING:

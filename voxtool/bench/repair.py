@@ -14,7 +14,7 @@ import numpy as np
 
 from voxtool.bench.references import Reference, capped
 from voxtool.bench.timing import Peers
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.topology import check_surface

@@ -20,13 +20,13 @@ from voxtool.bench.peers import of as voxelizers
 from voxtool.bench.timing import Peers, by_turns
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.files import open_svo, read_svo, write_svo
-from voxtool.files.mesh import load_mesh
-from voxtool.files.windows import Windows
+from voxtool.files.meshes.mesh import load_mesh
+from voxtool.files.octrees.windows import Windows
 from voxtool.grid import Grid
-from voxtool.svo.booleans import combine, plan_combine
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.morphology import plan_morph
-from voxtool.svo.voxelize import plan_voxelize, voxelize
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.sets.booleans import combine, plan_combine
+from voxtool.svo.sets.morphology import plan_morph
+from voxtool.svo.voxelization.voxelize import plan_voxelize, voxelize
 from voxtool.tiles.plan import plan_windows
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
-    from voxtool.svo.octree import Octree
-    from voxtool.svo.voxelize import VoxelizeJob
+    from voxtool.svo.octree.octree import Octree
+    from voxtool.svo.voxelization.voxelize import VoxelizeJob
 
 FILE, MANY = "mesh to file of an octree", "{} meshes to files of octrees"
 FLOOD = "mesh to file of a flooded octree"

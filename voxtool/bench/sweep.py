@@ -33,7 +33,7 @@ from voxtool.bench.request import benches_for, is_volume
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
 from voxtool.files import read_unstructured
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.opencl import shared_device
 
 if TYPE_CHECKING:

@@ -17,13 +17,13 @@ from voxtool.bench.points import MEASURES
 from voxtool.bench.references import ReferencePicture
 from voxtool.camera import Camera
 from voxtool.files import read_unstructured
-from voxtool.rendering import plan_render, render
+from voxtool.pictures.rendering import plan_render, render
 from voxtool.selftest.isosurfaces import isosurfaces
 from voxtool.selftest.reference import reference
-from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.mesh import volume_cells
-from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import TransferFunction
+from voxtool.tets.construction.conforming import tetrahedra
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.pictures.transfer import TransferFunction
+from voxtool.tets.volume.mesh import volume_cells
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from voxtool.bench.points import Ablation, Point
     from voxtool.bench.request import Request
     from voxtool.bench.timing import Bench
-    from voxtool.tets.mesh import ConformingMesh
-    from voxtool.tets.volume import TetVolume
+    from voxtool.tets.volume.mesh import ConformingMesh
+    from voxtool.tets.volume.volume import TetVolume
 
 DEPTH = 4.0  # optical, of the box's diagonal at the largest extinction of x1
 LEVELS = (0.3, 0.5, 0.7)  # quantiles of the scalars, whose isosurfaces are drawn

@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.build import plan_adf
-from voxtool.adf.cells import cell_of, key_of
-from voxtool.adf.hashing import KEYS_AN_OFFSET, build_hash
-from voxtool.adf.query import FieldQuery
+from voxtool.adf.construction.build import plan_adf
+from voxtool.adf.field.cells import cell_of, key_of
+from voxtool.adf.field.hashing import KEYS_AN_OFFSET, build_hash
+from voxtool.adf.queries.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.adf import points_of
 from voxtool.bench.text_peers import field_rows
 from voxtool.bench.text_rows import MISPRINT, Row
 from voxtool.errors import MemoryLimitError
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
 

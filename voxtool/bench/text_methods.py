@@ -19,20 +19,20 @@ from voxtool.bench.text_voxels import SUM, on_device
 from voxtool.bench.timing import WHOLE
 from voxtool.bench.voccel_tables import DIMS, QUICK_DIMS
 from voxtool.choices import MARCHING_CUBES
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.opencl.histopyramid import MOST_STORED, level_groups
-from voxtool.svo.scan import MORTON_TABLE
 from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.surface.plan import COMPACTIONS, SCAN
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.scan_conversion import MORTON_TABLE
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from voxtool.bench.timing import Bench
     from voxtool.job import Job
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
     Runs = list[dict[str, float]]  # the seconds of the stages of each run
 

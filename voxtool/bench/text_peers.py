@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.cells import cell_of
-from voxtool.adf.query import FieldQuery
+from voxtool.adf.field.cells import cell_of
+from voxtool.adf.queries.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.text_rows import Row
 from voxtool.morton import among, morton_decode
@@ -26,7 +26,7 @@ from voxtool.opencl import Device
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.bench.timing import Bench
 
 FIELD, DECODE = "bench/field_peers.cl", "bench/morton_decode.cl"

@@ -16,19 +16,19 @@ from voxtool.bench.tets import reference_picture, transfer_of
 from voxtool.bench.text_rows import MISPRINT, Row
 from voxtool.camera import Camera
 from voxtool.files import read_unstructured
-from voxtool.rendering import plan_render, render
-from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.integrate import BUCKETS, Integral
-from voxtool.tets.mesh import UnstructuredMesh, volume_cells
-from voxtool.tets.scene import VolumeScene
-from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import TransferFunction
+from voxtool.pictures.rendering import plan_render, render
+from voxtool.tets.construction.conforming import tetrahedra
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.pictures.integrate import BUCKETS, Integral
+from voxtool.tets.pictures.scene import VolumeScene
+from voxtool.tets.pictures.transfer import TransferFunction
+from voxtool.tets.volume.mesh import UnstructuredMesh, volume_cells
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.bench.timing import Bench
-    from voxtool.tets.volume import TetVolume
+    from voxtool.tets.volume.volume import TetVolume
 
 TRANSFER = "x10"
 SECTION, HEXAHEDRA = "[TetVol] section 4.2", "[TetVol] section 4.1"

@@ -26,11 +26,11 @@ from voxtool.bench.voccel_tables import (
 )
 from voxtool.bench.voxels import visited_cubes
 from voxtool.choices import MARCHING_CUBES
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.octree.layout import BRICK_SIDE
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
 SUM = "sum of the stages on the device without reading back"
 # The columns of STAGES that are times: our stages, and what these do.

@@ -13,7 +13,7 @@ from voxtool.bench.text_rows import Row
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
 from voxtool.files import read_unstructured
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.opencl import shared_device
 
 REQUEST = Request(repeat=3, seconds=0.0, levels=(6,))

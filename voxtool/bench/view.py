@@ -7,15 +7,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from voxtool.adf.field import DistanceField
+from voxtool.adf.field.field import DistanceField
 from voxtool.bench.pictures import contents_of
 from voxtool.bench.request import is_volume
 from voxtool.files import read_unstructured, write_adf, write_svo, write_tet
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.selftest.pages import wrong_values
-from voxtool.svo.octree import Octree
-from voxtool.tets.textures import build_tet
-from voxtool.tets.volume import TetVolume
+from voxtool.svo.octree.octree import Octree
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.volume.volume import TetVolume
 from voxtool.viewer.job import plan_view
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
-    from voxtool.rendering import Content
+    from voxtool.pictures.rendering import Content
 
 WRITERS: dict[type, tuple[str, Callable[[Any, Path], None]]] = {
     Octree: ("svo.h5", write_svo),

@@ -1,9 +1,9 @@
 """Errors against time of voxelization, and of surfaces of solid octrees.
 
 Voxels are compared with the model by their boundary, and solids of every fill rule by the share of
-the outer surface that they keep (svo/shares.py). The figures "nodes", "looked at" and "cut" of
-a surface are shares of the grid's samples: the cubes that the algorithm of [voCCeL] visits, those
-that are examined 64 at once here, and those that the surface cuts.
+the outer surface that they keep (svo/voxelization/kept_share.py). The figures "nodes", "looked at"
+and "cut" of a surface are shares of the grid's samples: the cubes that the algorithm of [voCCeL]
+visits, those that are examined 64 at once here, and those that the surface cuts.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from voxtool.bench.references import (
 from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES, VOXEL_LEVEL
 from voxtool.errors import VoxtoolWarning, human
 from voxtool.files import write_svo
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.memory import available_memory
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.attribution.fraction import plan_fractions
-from voxtool.svo.compare import count_differences
-from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.shares import outer_surface, share_of
+from voxtool.svo.octree.layout import BRICK_SIDE
+from voxtool.svo.sets.compare import count_differences
 from voxtool.svo.surface.extract import extract, plan_extract
-from voxtool.svo.voxelize import plan_voxelize, voxelize
+from voxtool.svo.voxelization.kept_share import outer_surface, share_of
+from voxtool.svo.voxelization.voxelize import plan_voxelize, voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
     from voxtool.svo.surface.isosurface import Isosurface
 
 ADAPTIVE_DIM, ADAPTIVE = 256, 0.5  # up to which dim cells of different size; tolerance in voxels

@@ -25,7 +25,7 @@ from voxtool.errors import CheckError, count_of, human
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
 
 
 @click.command("adf-build")
@@ -87,10 +87,10 @@ def command(
         raise click.UsageError("--tolerance and --tolerance-world say the same: drop one of them")
     if tolerance_world is not None and not 0 <= tolerance_world < math.inf:
         raise click.UsageError(f"--tolerance-world {tolerance_world:g}: give a length from 0 on")
-    from voxtool.adf.survey import cube_of
+    from voxtool.adf.construction.survey import cube_of
     from voxtool.distances import plan_field
     from voxtool.files import ADF_FORMATS, write_adf
-    from voxtool.files.spool import Spool
+    from voxtool.files.storage.spool import Spool
 
     run.to(mesh, options.output_of(mesh, "adf.h5"), ADF_FORMATS)
     with run:

@@ -26,8 +26,8 @@ from voxtool.errors import count_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.adf.query import FieldQuery
-    from voxtool.adf.stored_field import StoredField
+    from voxtool.adf.field.stored_field import StoredField
+    from voxtool.adf.queries.query import FieldQuery
 
 SLICE_SIZE = 800  # pixels
 COLUMNS = {
@@ -102,11 +102,11 @@ def command(
         raise click.UsageError(
             "--slice draws distances: leave out POINTS, --gradient, --bounds, --cell and --format"
         )
-    from voxtool.adf.host_query import no_bounds
-    from voxtool.adf.query import FieldQuery
-    from voxtool.adf.stored_field import StoredField
+    from voxtool.adf.field.host_query import no_bounds
+    from voxtool.adf.field.stored_field import StoredField
+    from voxtool.adf.queries.query import FieldQuery
     from voxtool.files import read_adf
-    from voxtool.plots.slices import check_plane
+    from voxtool.pictures.slices import check_plane
 
     if plane:
         run.file_format = "png"
@@ -136,7 +136,7 @@ def command(
 
 def stored_in(run: runner.Run, field: str, stack: ExitStack) -> StoredField | None:
     """Return a field that stays in its file since it does not fit in memory, or None."""
-    from voxtool.adf.stored_field import StoredField
+    from voxtool.adf.field.stored_field import StoredField
     from voxtool.files import open_adf
     from voxtool.memory import available_memory
 
@@ -150,8 +150,8 @@ def stored_in(run: runner.Run, field: str, stack: ExitStack) -> StoredField | No
 
 def draw(run: runner.Run, query: FieldQuery, plane: tuple[str, float], size: int) -> dict[str, Any]:
     """Write the picture of a plane; return the facts of the report, whose points are pixels."""
-    from voxtool.files.picture import write_picture
-    from voxtool.plots.slices import draw_field_slice
+    from voxtool.files.pictures.picture import write_picture
+    from voxtool.pictures.slices import draw_field_slice
 
     run.enter("draw")
     picture, drawn = draw_field_slice(query, *plane, size=size)
@@ -166,8 +166,8 @@ def answer(
     of the queries alone; the first one compiles kernels."""
     import numpy as np
 
-    from voxtool.adf.cells import key_of
-    from voxtool.files.points import read_points
+    from voxtool.adf.field.cells import key_of
+    from voxtool.files.tables.points import read_points
 
     included = {"distance": True, **asked, "outside": any(asked.values())}
     columns = [column for part in COLUMNS if included[part] for column in COLUMNS[part]]

@@ -14,7 +14,7 @@ from voxtool.cli.options import option
 from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
-    from voxtool.svo.content import OctreeContent
+    from voxtool.svo.octree.content import OctreeContent
 
 
 @click.command("combine")
@@ -46,8 +46,8 @@ def command(
       voxtool voxelize open.obj --lattice bunny.svo.h5 -o - | voxtool combine bunny.svo.h5 -
     """
     from voxtool.files import SVO_FORMATS, export, open_svo, write_svo
-    from voxtool.svo.attribution.carry import check_kept, kept_of
-    from voxtool.svo.booleans import plan_combine
+    from voxtool.svo.sets.attribute_transfer import check_kept, kept_of
+    from voxtool.svo.sets.booleans import plan_combine
     from voxtool.tiles.combining import combine_windows
 
     if octrees.count("-") > 1:

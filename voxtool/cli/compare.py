@@ -39,8 +39,8 @@ def command(run: runner.Run, first: str, second: str) -> None:
       voxtool voxelize bunny.obj --dim 128 -o - | voxtool compare bunny.svo.h5 -
     """
     from voxtool.files import SVO_FORMATS, export, write_svo
-    from voxtool.svo.booleans import combine
-    from voxtool.svo.compare import plan_compare
+    from voxtool.svo.sets.booleans import combine
+    from voxtool.svo.sets.compare import plan_compare
 
     if first == second == "-":
         raise options.input_twice("FIRST", "SECOND")

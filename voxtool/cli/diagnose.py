@@ -42,11 +42,11 @@ def command(
       voxtool diagnose open.obj --obj leaks.obj
       voxtool diagnose bunny.obj --json --strict
     """
+    from voxtool.diagnosis.report import STAGES, diagnose
     from voxtool.files import check_target, format_of, write_mesh
-    from voxtool.files.mesh import load_mesh
+    from voxtool.files.meshes.mesh import load_mesh
     from voxtool.grid import Grid
     from voxtool.mesh.loops import tubes
-    from voxtool.report import STAGES, diagnose
 
     if obj is not None:
         if run.item:

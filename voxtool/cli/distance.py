@@ -123,7 +123,7 @@ def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str)
     import numpy as np
 
     from voxtool.distances import plan_distance_grid
-    from voxtool.files.npy import write_array
+    from voxtool.files.grids.npy import write_array
 
     job = run.plan(plan_distance_grid, mesh, grid, fill=fill, dtype=dtype)
     place: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
@@ -147,7 +147,7 @@ def measure_points(
     import numpy as np
 
     from voxtool.distances import plan_distance
-    from voxtool.files.points import read_points
+    from voxtool.files.tables.points import read_points
 
     job = run.plan(plan_distance, mesh, fill=fill, located=any(asked.values()))
     measure = run.job(job)

@@ -118,7 +118,7 @@ def command(
       voxtool export bunny.adf.h5 -o bunny.nii.gz --shape 128
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.files import open_scene
     from voxtool.files.exchange import plan_export
 
@@ -156,9 +156,9 @@ def write_links(
     from voxtool.errors import FileError
     from voxtool.files import open_svo, write_wall_links
     from voxtool.files.formats import LINK_FORMATS
-    from voxtool.files.mesh import load_mesh
+    from voxtool.files.meshes.mesh import load_mesh
+    from voxtool.svo.solvers.wall_links import plan_wall_links
     from voxtool.svo.surface.sharp import source_of
-    from voxtool.svo.wall_links import plan_wall_links
 
     most = given.pop("max_bytes")
     if others := [f"--{name.replace('_', '-')}" for name, value in given.items() if value]:

@@ -26,10 +26,10 @@ from voxtool.errors import CheckError, MemoryLimitError, count_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.job import Job
-    from voxtool.svo.content import OctreeContent
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.content import OctreeContent
+    from voxtool.svo.octree.octree import Octree
     from voxtool.svo.surface.isosurface import Adaptive, Isosurface
     from voxtool.tiles.surface import SurfaceWindowsJob
 MUCH = 0.02  # of the volume
@@ -119,9 +119,9 @@ def command(
     if by is None:
         check_names(style, octree, source, against, bool(units or scale != 1))
     from voxtool.files import MESH_FORMATS, PART_FORMATS, open_shape, write_blocks, write_mesh
-    from voxtool.svo.attributes import COLOUR
-    from voxtool.svo.content import OctreeContent
-    from voxtool.svo.octree import Octree, in_memory
+    from voxtool.svo.octree.attributes import COLOUR
+    from voxtool.svo.octree.content import OctreeContent
+    from voxtool.svo.octree.octree import Octree, in_memory
     from voxtool.svo.surface.isosurface import Isosurface
 
     # named after its style: bunny.obj is the mesh that the octree was made from
@@ -154,7 +154,7 @@ def command(
                     content = run.stage("read file", in_memory, content, run.max_memory, used)
         shape: Any = content
         if source is not None or against is not None:
-            from voxtool.files.mesh import load_mesh
+            from voxtool.files.meshes.mesh import load_mesh
         if source is not None:
             found = run.stage("read source", load_mesh, source, units=units, scale=scale)
             request["source"] = in_unit_of(run, found, shape)
@@ -165,7 +165,7 @@ def command(
         with run.naming(octree):
             job: Job[Any] = parts or planned(run, shape, request, naive)
             if parts and not run.only_plan:
-                from voxtool.files.spool import Spool
+                from voxtool.files.storage.spool import Spool
 
                 parts.store = stack.enter_context(Spool(str(run.output)))
             try:
@@ -234,7 +234,7 @@ def windows_of(
 def used_of(run: runner.Run, request: dict[str, Any]) -> set[str]:
     """Return the attributes of an octree that its surface needs."""
     from voxtool.files.formats import COLOUR_FORMATS
-    from voxtool.svo.attributes import COLOUR
+    from voxtool.svo.octree.attributes import COLOUR
 
     coloured = run.file_format in COLOUR_FORMATS and not (request["merge"] or request["adaptive"])
     return {"fraction", COLOUR} if coloured else {"fraction"}
@@ -245,7 +245,7 @@ def planned(
 ) -> Job[Any]:
     """Return the job for an octree or a field; refuse options of the other."""
     from voxtool.files.formats import COLOUR_FORMATS
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
     from voxtool.svo.surface.extract import plan_extract
 
     of_field = {name: request.pop(name) for name in ("offset", "shell")}
@@ -358,7 +358,7 @@ def saved_facts(surface: Isosurface) -> dict[str, Any]:
 
 def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
-    from voxtool.svo.content import OctreeContent
+    from voxtool.svo.octree.content import OctreeContent
 
     if not isinstance(source, OctreeContent):
         return surface.facts

@@ -13,7 +13,7 @@ from voxtool.cli.extract import MUCH, ROUNDED, percent_off, volume_text, volumes
 from voxtool.errors import CheckError, VoxtoolError, count_of, printable
 
 if TYPE_CHECKING:
-    from voxtool.svo.content import AttributedContent
+    from voxtool.svo.octree.content import AttributedContent
 
 SHOWN = 10  # labels that the report lists
 COLOURED = "glb"  # the format whose meshes have vertices of their own, with colours
@@ -35,10 +35,10 @@ def extract_labels(
     ------
     CheckError : a mesh is not closed.
     """
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.files import check_holds_parts, open_shape, write_mesh
-    from voxtool.svo.attributes import COLOUR, has_colours
-    from voxtool.svo.octree import in_memory
+    from voxtool.svo.octree.attributes import COLOUR, has_colours
+    from voxtool.svo.octree.octree import in_memory
     from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 
     usual = {"isovalue": 0.5, "level": VOXEL_LEVEL, "scale": 1}
@@ -96,7 +96,7 @@ def extract_labels(
 
 def with_voxels(labels: list[dict[str, Any]], octree: AttributedContent) -> dict[str, float]:
     """Add to the facts of labels the volumes of their voxels; return the volumes of all."""
-    from voxtool.svo.label_counts import label_counts
+    from voxtool.svo.octree.label_counts import label_counts
 
     counts, cell = label_counts(octree)[0], octree.grid.voxel_volume
     for one in labels:

@@ -58,7 +58,7 @@ def message_of(error: BaseException) -> str:
         return f"a library cannot be loaded ({error}): free memory, or raise the limit of ulimit -v"
     if isinstance(error, OSError):
         if not error.filename and error.errno in STREAM_ERRORS:
-            from voxtool.files.atomic import write_error
+            from voxtool.files.storage.atomic import write_error
 
             return str(write_error("standard output", error))
         where = f"{printable(error.filename)}: " if error.filename else ""

@@ -13,7 +13,7 @@ from voxtool.cli.placing import POINT, SPACING
 from voxtool.files.formats import ADF_FORMATS, IMPORTS, OCTREE_FORMATS, SVO_FORMATS
 
 if TYPE_CHECKING:
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
 
 VOCCEL = "voccel.xml"
 
@@ -126,7 +126,7 @@ def import_voccel(
     from voxtool.cli.voxelize import facts_of, report_line
     from voxtool.files import read_svo, write_svo
     from voxtool.files.lattices import Lattice, read_lattice
-    from voxtool.files.voccel import placed
+    from voxtool.files.octrees.voccel import placed
 
     run.to(file, options.output_of(file, "svo.h5"), SVO_FORMATS)
     with run:

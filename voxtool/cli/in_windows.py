@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection
     from contextlib import ExitStack
 
-    from voxtool.svo.content import OctreeContent
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.content import OctreeContent
+    from voxtool.svo.octree.octree import Octree
     from voxtool.tiles.octree import BlockOctree
     from voxtool.tiles.operations import OperationJob
     from voxtool.tiles.windows import WindowsJob
@@ -41,7 +41,7 @@ def loaded(
 ) -> Octree:
     """Return the octree of a file with this name in memory, with these attributes; the others stay
     in the file."""
-    from voxtool.svo.octree import in_memory
+    from voxtool.svo.octree.octree import in_memory
 
     with run.naming(name):
         return run.stage("read octree", in_memory, octree, run.max_memory, attributes)
@@ -58,7 +58,7 @@ def make_in_windows(
 ) -> BlockOctree:
     """Run a job in windows, and write the octree that they make together."""
     from voxtool.files import write_svo
-    from voxtool.files.windows import Windows
+    from voxtool.files.octrees.windows import Windows
 
     if run.only_plan:
         run.job(job, **facts)

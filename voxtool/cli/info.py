@@ -14,8 +14,8 @@ from voxtool.errors import printable
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from voxtool.adf.field import DistanceField
-    from voxtool.svo.content import OctreeContent
+    from voxtool.adf.field.field import DistanceField
+    from voxtool.svo.octree.content import OctreeContent
 
 
 info_options = together(

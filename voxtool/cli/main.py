@@ -67,7 +67,7 @@ class Voxtool(click.Group):
             gone = reader_has_gone(error)
             code = 0 if gone else self.report(error, "--json" in words)
             if gone or (isinstance(error, OSError) and error.errno in STREAM_ERRORS):
-                from voxtool.files.streams import discard
+                from voxtool.files.storage.streams import discard
 
                 discard(sys.stdout)
         if code == 0 and UNSAID:

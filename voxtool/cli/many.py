@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from voxtool.cli.workers import Answer, Task
-    from voxtool.files.manifest import Manifest
+    from voxtool.files.storage.manifest import Manifest
 
     Values = dict[str, Any]
 
@@ -167,7 +167,7 @@ class Many:
         tasks = [Task(mesh, self.outputs.get(mesh)) for mesh in self.meshes]
         if self.folder is None or self.values["only_plan"]:
             return self.make(tasks, None, began)
-        from voxtool.files.manifest import Manifest
+        from voxtool.files.storage.manifest import Manifest
 
         if not self.values["overwrite"]:
             refuse_inputs([*(str(task.output) for task in tasks), *filter(None, [self.tar])])
@@ -183,8 +183,8 @@ class Many:
     def make(self, tasks: Sequence[Task], manifest: Manifest | None, began: float) -> None:
         """Do the tasks that are not up to date, and report."""
         if manifest:
-            from voxtool.files.atomic import sweep
-            from voxtool.files.manifest import make_folder
+            from voxtool.files.storage.atomic import sweep
+            from voxtool.files.storage.manifest import make_folder
 
             for below in {str(manifest.path.parent), *map(os.path.dirname, self.outputs.values())}:
                 make_folder(below)
@@ -299,9 +299,9 @@ class Many:
     def is_packed(self, tar: str) -> bool:
         """Return whether a tar is newer than the meshes, and has these, made with these options;
         raise UsageError or FileError if it can have none."""
-        from voxtool.files.atomic import check_target
         from voxtool.files.formats import is_folder
-        from voxtool.files.samples import read_lines
+        from voxtool.files.storage.atomic import check_target
+        from voxtool.files.tables.samples import read_lines
 
         if is_folder(self.ending):
             raise click.UsageError(f"a tar holds files, and {self.ending} is a folder")
@@ -323,7 +323,7 @@ class Many:
 
     def pack(self, tar: str, manifest: Manifest) -> None:
         """Put the outputs into a tar; remove them if no mesh has failed."""
-        from voxtool.files.samples import Sample, write_samples
+        from voxtool.files.tables.samples import Sample, write_samples
 
         done = [(mesh, manifest.line_of(self.outputs[mesh])) for mesh in self.meshes]
         good = [(mesh, line) for mesh, line in done if line and "error" not in line]

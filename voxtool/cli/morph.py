@@ -18,13 +18,13 @@ from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.svo.components import ComponentsJob
-    from voxtool.svo.content import OctreeContent
-    from voxtool.svo.labels import Labels
-    from voxtool.svo.morphology import MorphJob
-    from voxtool.svo.octree import Octree
-    from voxtool.svo.resample import ResampleJob
-    from voxtool.svo.thin import ThinJob
+    from voxtool.svo.octree.content import OctreeContent
+    from voxtool.svo.octree.octree import Octree
+    from voxtool.svo.sets.components import ComponentsJob
+    from voxtool.svo.sets.labels import Labels
+    from voxtool.svo.sets.morphology import MorphJob
+    from voxtool.svo.sets.resample import ResampleJob
+    from voxtool.svo.sets.thin import ThinJob
     from voxtool.tiles.morphing import MorphWindowsJob
 
 EXTENSION = "svo.h5"
@@ -99,7 +99,7 @@ def command(
         report_components(run, octree, neighbours_of(request))
         return
     from voxtool.files import SVO_FORMATS, export, write_svo
-    from voxtool.svo.attribution.carry import check_kept, kept_of
+    from voxtool.svo.sets.attribute_transfer import check_kept, kept_of
 
     default = options.output_of(octree, f"morph.{EXTENSION}")
     run.to(octree, default, (*SVO_FORMATS, *EXPORTS))
@@ -168,7 +168,7 @@ def report_components(run: runner.Run, octree: str, neighbours: int) -> None:
     """Report the components of an octree, and write their labels if there is an output."""
     from voxtool.files import export
     from voxtool.files.formats import IMAGES
-    from voxtool.svo.labels import plan_components
+    from voxtool.svo.sets.labels import plan_components
 
     if run.output:
         run.to(octree, run.output, IMAGES)
@@ -226,10 +226,10 @@ def planned(
 ) -> MorphJob | ComponentsJob | ResampleJob | ThinJob:
     """Return the planned job of a request."""
     from voxtool.files.lattices import unit_checked
-    from voxtool.svo.components import plan_fill_cavities, plan_keep_components
-    from voxtool.svo.morphology import plan_morph
-    from voxtool.svo.resample import DEFAULT_THRESHOLD, plan_resample
-    from voxtool.svo.thin import plan_thin
+    from voxtool.svo.sets.components import plan_fill_cavities, plan_keep_components
+    from voxtool.svo.sets.morphology import plan_morph
+    from voxtool.svo.sets.resample import DEFAULT_THRESHOLD, plan_resample
+    from voxtool.svo.sets.thin import plan_thin
 
     if request["resample"]:
         threshold = DEFAULT_THRESHOLD if request["threshold"] is None else request["threshold"]
@@ -258,9 +258,9 @@ def facts_of(
     result: Any,
 ) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
-    from voxtool.svo.morphology import MorphJob
-    from voxtool.svo.resample import ResampleJob
-    from voxtool.svo.thin import ThinJob
+    from voxtool.svo.sets.morphology import MorphJob
+    from voxtool.svo.sets.resample import ResampleJob
+    from voxtool.svo.sets.thin import ThinJob
     from voxtool.tiles.morphing import MorphWindowsJob
 
     if isinstance(job, (MorphJob, MorphWindowsJob)):

@@ -353,7 +353,7 @@ def say(text: str, end: str = "\n") -> None:
     except BrokenPipeError:
         raise
     except OSError as error:
-        from voxtool.files.streams import discard
+        from voxtool.files.storage.streams import discard
 
         UNSAID.append(error)
         discard(sys.stderr)

@@ -14,12 +14,12 @@ from voxtool.errors import VoxtoolError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.cli.options import Decorator
     from voxtool.cli.runner import Run
     from voxtool.files.lattices import PlacedMesh
     from voxtool.mesh.mesh import Mesh
-    from voxtool.svo.content import OctreeContent
+    from voxtool.svo.octree.content import OctreeContent
 
 OWN = ("origin", "shape", "spacing")  # options that give a grid by its own numbers
 FILES = ("like", "lattice")  # options that name a file with a grid

@@ -24,7 +24,7 @@ from voxtool.cli.options import (
     together,
 )
 from voxtool.errors import VoxtoolWarning, printable
-from voxtool.tets.maps import MAPS
+from voxtool.tets.pictures.maps import MAPS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
     from voxtool.camera import Camera
     from voxtool.cli.runner import Run
-    from voxtool.rendering import RenderJob
-    from voxtool.tets.transfer import TransferFunction
-    from voxtool.tets.volume import TetVolume
+    from voxtool.pictures.rendering import RenderJob
+    from voxtool.tets.pictures.transfer import TransferFunction
+    from voxtool.tets.volume.volume import TetVolume
 
 NUMBER = Parsed("number", lambda text: numbers_of(text, 1)[0], " is no finite number")
 VECTOR = Parsed("vector", lambda text: numbers_of(text, 3), ": write three numbers, as 1,2.5,-3")
@@ -170,9 +170,9 @@ def command(
     check_request(request)
     check_rays(size, samples)
     from voxtool.files import open_scene
-    from voxtool.files.animation import rate_of, write_animation
-    from voxtool.files.picture import FORMATS, check_writer, write_picture
-    from voxtool.rendering import camera_for, plan_render
+    from voxtool.files.pictures.animation import rate_of, write_animation
+    from voxtool.files.pictures.picture import FORMATS, check_writer, write_picture
+    from voxtool.pictures.rendering import camera_for, plan_render
 
     if turntable is not None:
         choose_animation(run, file, as_float, bits, fps, background)
@@ -221,7 +221,7 @@ def asks_for_attributes(request: dict[str, Any]) -> bool:
 
 def attributes_of(content: Any, request: dict[str, Any]) -> set[str]:
     """Return the attributes that a picture of an octree needs."""
-    from voxtool.svo.painting import painted
+    from voxtool.svo.pictures.painting import painted
 
     return {painted(content, request["colour_by"]), *([LABEL] if request["only"] else [])}
 
@@ -233,9 +233,9 @@ def fitting(
     """Return what a picture shows of the content of a file, and the level. An octree that does not
     fit in memory and is drawn alone shows its upper nodes. Attributes that do not fit are left
     out, with a warning, unless they are asked for."""
-    from voxtool.svo.coarsen import fitting_octree
-    from voxtool.svo.content import StoredAttributedOctree, StoredOctree
-    from voxtool.svo.octree import in_memory
+    from voxtool.svo.octree.content import StoredAttributedOctree, StoredOctree
+    from voxtool.svo.octree.octree import in_memory
+    from voxtool.svo.pictures.coarsen import fitting_octree
 
     if not isinstance(content, StoredOctree):
         return content, level
@@ -271,7 +271,7 @@ def choose_animation(
     run: Run, file: str, as_float: bool, bits: str | None, fps: float | None, background: Any
 ) -> None:
     """Choose the output of a turntable; refuse options and formats that do not go with it."""
-    from voxtool.files.animation import FORMATS, check_video, numbered
+    from voxtool.files.pictures.animation import FORMATS, check_video, numbered
 
     if as_float or bits:
         raise click.UsageError(f"{'--float' if as_float else '--bits'} goes with one picture: "
@@ -297,7 +297,7 @@ def turned(
     for. The content stays on the device."""
     from dataclasses import replace
 
-    from voxtool.files.picture import rounded
+    from voxtool.files.pictures.picture import rounded
 
     yield rounded(first, 8, paper)
     width, height = job.rays.size
@@ -370,8 +370,8 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
     ------
     click.UsageError : an option was given that goes with another kind of file.
     """
-    from voxtool.rendering import SCENES
-    from voxtool.svo.painting import painted
+    from voxtool.pictures.rendering import SCENES
+    from voxtool.svo.pictures.painting import painted
 
     kind, given = SCENES[type(content)].kind, given_of(request)
     for parameter in click.get_current_context().command.params:
@@ -387,8 +387,8 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
     shown = {name: value for name, value in given.items() if name in drawn}
     if "other" in given:
         from voxtool.files import open_svo
-        from voxtool.svo.content import StoredOctree
-        from voxtool.svo.octree import in_memory
+        from voxtool.svo.octree.content import StoredOctree
+        from voxtool.svo.octree.octree import in_memory
 
         if source == given["other"] == "-":
             raise options.input_twice("FILE", "OTHER")
@@ -418,8 +418,8 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
 
 def transfer_of(volume: TetVolume, request: dict[str, Any]) -> TransferFunction:
     """Return the transfer function that the options name."""
-    from voxtool.files.transfer import read_transfer
-    from voxtool.tets.transfer import DEFAULT_MAP, default_transfer
+    from voxtool.files.pictures.transfer import read_transfer
+    from voxtool.tets.pictures.transfer import DEFAULT_MAP, default_transfer
 
     if request["transfer_file"] is not None:
         return read_transfer(request["transfer_file"])
@@ -451,13 +451,13 @@ def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndar
     """Return the picture with the legend of its labels or transfer function at the right."""
     import numpy as np
 
-    from voxtool.plots.legend import draw_legend
-    from voxtool.tets.transfer import scalar_shares
+    from voxtool.pictures.legend import draw_legend
+    from voxtool.tets.pictures.transfer import scalar_shares
 
     scene: Any = job.plan.scene
     if scene.kind == "octree":
-        from voxtool.plots.label_legend import draw_label_legend
-        from voxtool.svo.label_counts import label_counts
+        from voxtool.pictures.label_legend import draw_label_legend
+        from voxtool.svo.octree.label_counts import label_counts
 
         (counts, _), names = label_counts(scene.content), scene.content.attribute(LABEL).names
         rows = [(n, printable(name)) for n, name in enumerate(names) if counts[n]]

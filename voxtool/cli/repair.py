@@ -107,7 +107,7 @@ def execute(
     if request["gap"] and request["fill"] != "flood":
         raise click.UsageError("--gap goes with --fill flood")
     from voxtool.files import MESH_FORMATS, write_mesh
-    from voxtool.files.mesh import load_mesh
+    from voxtool.files.meshes.mesh import load_mesh
     from voxtool.repairing.job import grid_for, plan_repair
 
     run.to(mesh, options.output_of(mesh, f"{name}.{run.file_format or 'obj'}"), MESH_FORMATS)

@@ -39,7 +39,7 @@ from voxtool.errors import CheckError, FileError, MemoryLimitError, VoxtoolError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from voxtool.files.answers import Answers
+    from voxtool.files.tables.answers import Answers
     from voxtool.job import Job
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
@@ -99,8 +99,8 @@ class Run:
         click.UsageError : stdout is a terminal, and the format is not text; or it is an input.
         FileError : the file cannot be written, or its name does not say the format.
         """
-        from voxtool.files.atomic import written
         from voxtool.files.formats import TEXT_FORMATS, check_output, format_of
+        from voxtool.files.storage.atomic import written
 
         self.source = source
         by_default = self.output is None
@@ -129,7 +129,7 @@ class Run:
     def to_table(self, points: str, what: str = "distance") -> None:
         """Choose the output of a table of values at points: CSV on stdout, otherwise .npy, unless
         --format or the name of the output says another. The name says what it holds."""
-        from voxtool.files.answers import ANSWER_FORMATS
+        from voxtool.files.tables.answers import ANSWER_FORMATS
 
         piped = (self.output or points) == "-"
         self.file_format = self.file_format or ("csv" if piped else None)
@@ -138,7 +138,7 @@ class Run:
 
     def table(self, columns: Sequence[tuple[str, str]]) -> AbstractContextManager[Answers]:
         """Open the output as a table of these columns, which is written block by block."""
-        from voxtool.files.answers import open_answers
+        from voxtool.files.tables.answers import open_answers
 
         return open_answers(str(self.output), columns, self.file_format, not self.no_clobber)
 
@@ -150,7 +150,7 @@ class Run:
     @property
     def bytes(self) -> int:
         """The bytes of the output, once it has been written."""
-        from voxtool.files.atomic import written
+        from voxtool.files.storage.atomic import written
 
         return written() - self._before
 
@@ -238,8 +238,8 @@ class Run:
         if normalize and (units or scale != 1):
             message = "--normalize sets the scale and leaves no unit: drop --units and --scale"
             raise click.UsageError(message)
-        from voxtool.files import companions
-        from voxtool.files.mesh import load_mesh
+        from voxtool.files.meshes import companions
+        from voxtool.files.meshes.mesh import load_mesh
 
         given = {"max_memory": self.max_memory, "units": units, "scale": scale, "keep": keep}
         with companions.noting() as beside:

@@ -12,7 +12,7 @@ from voxtool.cli.options import flag
 from voxtool.files.formats import MERGED_FORMATS
 
 if TYPE_CHECKING:
-    from voxtool.svo.content import OctreeContent
+    from voxtool.svo.octree.content import OctreeContent
 
 
 @click.command("svo-dag")
@@ -38,8 +38,8 @@ def command(run: runner.Run, file: str, expand: bool) -> None:
       voxtool voxelize bunny.obj --dag -o - | voxtool svo-dag - --expand -o bunny.svo.xml
     """
     from voxtool.files import SVO_FORMATS, open_svo, read_svo, write_svo
-    from voxtool.svo.attribution.carry import lost
-    from voxtool.svo.merged import MergedOctree
+    from voxtool.svo.dag.merged import MergedOctree
+    from voxtool.svo.sets.attribute_transfer import lost
 
     extension = "expanded.svo.h5" if expand else "dag.svo.h5"
     formats = SVO_FORMATS if expand else MERGED_FORMATS

@@ -46,7 +46,7 @@ def command(file: str | None, *, dtd: bool, **asked: bool) -> None:
 
 def print_dtd(as_json: bool) -> None:
     """Print the DTD, with --json as a text in an object."""
-    from voxtool.files.svo_xml import DTD
+    from voxtool.files.octrees.svo_xml import DTD
 
     text = DTD.read_text(encoding="ascii")
     if as_json:
@@ -93,7 +93,7 @@ def labels(info: dict[str, Any], unit: str) -> Iterator[str]:
 
 def text_of(info: dict[str, Any], verbose: bool) -> Iterator[str]:
     """Yield the lines of a summary, if verbose with how it is stored."""
-    from voxtool.svo.connected.about import about_connected
+    from voxtool.svo.voxelization.connected.about import about_connected
 
     unit = f" {info['units']}" if info["units"] else ""
     size = " x ".join(map(str, info["shape"]))

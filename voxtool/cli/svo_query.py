@@ -13,7 +13,7 @@ from voxtool.cli.options import LEVEL, flag, option
 from voxtool.errors import count_of
 
 if TYPE_CHECKING:
-    from voxtool.svo.query import QueryJob
+    from voxtool.svo.queries.query import QueryJob
 
 ATTRIBUTES = {
     "label": [("label", "i8")],
@@ -61,9 +61,9 @@ def command(
     """
     points = options.points_of(points, "OCTREE", octree, "name a file, or pipe them in")
     from voxtool.files import open_svo
-    from voxtool.svo.content import StoredOctree
-    from voxtool.svo.octree import in_memory
-    from voxtool.svo.query import plan_query
+    from voxtool.svo.octree.content import StoredOctree
+    from voxtool.svo.octree.octree import in_memory
+    from voxtool.svo.queries.query import plan_query
 
     run.to_table(points, "voxels")
     names = tuple(attributes.split(",")) if attributes else ()
@@ -89,7 +89,7 @@ def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
     """Write the values at points, block by block; return the facts of the report."""
     import numpy as np
 
-    from voxtool.files.points import read_points
+    from voxtool.files.tables.points import read_points
 
     query = run.job(job)
     columns = [("contains", "?")] + [("coverage", "f8")] * (job.plan.level is not None)

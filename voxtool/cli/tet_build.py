@@ -12,7 +12,7 @@ from voxtool.cli.options import option, together
 from voxtool.errors import human
 
 if TYPE_CHECKING:
-    from voxtool.tets.volume import TetVolume
+    from voxtool.tets.volume.volume import TetVolume
 
 
 @click.command("tet-build")
@@ -48,7 +48,7 @@ def command(
       voxtool tet-build volume.vtu --scalar momentum --component magnitude -o speed.tet.h5
     """
     from voxtool.files import TET_FORMATS, read_unstructured, write_tet
-    from voxtool.tets.textures import plan_tet
+    from voxtool.tets.construction.textures import plan_tet
 
     run.to(file, options.output_of(file, "tet.h5"), TET_FORMATS)
     with run:
@@ -65,7 +65,7 @@ def command(
 
 def details(volume: TetVolume) -> list[str]:
     """Return lines that say what was done to the mesh, and how accurate the result is."""
-    from voxtool.tets.volume import COMPARED
+    from voxtool.tets.volume.volume import COMPARED
 
     report, sizes = volume.report, volume.sizes()
     read = ", ".join(f"{n:,} {kind}" for kind, n in report["cells"].items())

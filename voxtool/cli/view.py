@@ -59,8 +59,8 @@ def command(
     """
     from voxtool.api.views import shown_content
     from voxtool.files import is_mesh, open_scene
-    from voxtool.files.page import FORMATS, write_page
-    from voxtool.svo.painting import BY_DEFAULT
+    from voxtool.files.pictures.page import FORMATS, write_page
+    from voxtool.svo.pictures.painting import BY_DEFAULT
     from voxtool.viewer.job import plan_view
 
     if serve and run.output:

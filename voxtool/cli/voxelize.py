@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from voxtool.grid import Grid
-    from voxtool.svo.merged import MergedOctree
-    from voxtool.svo.octree import Octree
-    from voxtool.svo.voxelize import VoxelizeJob
+    from voxtool.svo.dag.merged import MergedOctree
+    from voxtool.svo.octree.octree import Octree
+    from voxtool.svo.voxelization.voxelize import VoxelizeJob
     from voxtool.tiles.octree import BlockOctree
     from voxtool.tiles.windows import WindowsJob
 
@@ -208,11 +208,11 @@ def command(
         else:
             octree = run.job(job, ("thin",) * thin + ("merge subtrees",) * dag, **place)
             if thin:
-                from voxtool.svo.thin import plan_thin
+                from voxtool.svo.sets.thin import plan_thin
 
                 octree = run.job(run.stage("thin", plan_thin, octree), ("merge subtrees",) * dag)
             if dag:
-                from voxtool.svo.merged import MergedOctree
+                from voxtool.svo.dag.merged import MergedOctree
 
                 octree = run.stage("merge subtrees", MergedOctree.of, octree)
             if run.file_format in EXPORTS:
@@ -308,7 +308,7 @@ def volumes_of(octree: Any) -> dict[str, float]:
     if octree.mode != f"solid+{FRACTION}":
         return {}
     from voxtool.svo.attribution.fraction import LATTICE_VOLUME, MESH_VOLUME
-    from voxtool.svo.stored_volume import stored_volume
+    from voxtool.svo.octree.stored_volume import stored_volume
 
     voxels = {"volume": stored_volume(octree)}
     for name, key in (("mesh_volume", MESH_VOLUME), ("lattice_volume", LATTICE_VOLUME)):

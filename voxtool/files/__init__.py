@@ -13,8 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files import formats, streams
-from voxtool.files.atomic import alone, atomic_path, check_target
+from voxtool.files import formats
 from voxtool.files.formats import (
     ADF_FORMATS,
     COLOUR_FORMATS,
@@ -33,25 +32,27 @@ from voxtool.files.formats import (
     format_of,
     is_mesh,
 )
-from voxtool.files.streams import PathLike
+from voxtool.files.storage import streams
+from voxtool.files.storage.atomic import alone, atomic_path, check_target
+from voxtool.files.storage.streams import PathLike
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from voxtool.adf.field import DistanceField
-    from voxtool.adf.stored_field import StoredField
+    from voxtool.adf.field.field import DistanceField
+    from voxtool.adf.field.stored_field import StoredField
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.svo.content import OctreeContent, StoredOctree
-    from voxtool.svo.labels import Labels
-    from voxtool.svo.merged import MergedOctree
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.dag.merged import MergedOctree
+    from voxtool.svo.octree.content import OctreeContent, StoredOctree
+    from voxtool.svo.octree.octree import Octree
+    from voxtool.svo.sets.labels import Labels
+    from voxtool.svo.solvers.wall_links import WallLinks
     from voxtool.svo.surface.blocks import BlockSurface
     from voxtool.svo.surface.labelled import LabelledSurface
-    from voxtool.svo.wall_links import WallLinks
-    from voxtool.tets.mesh import UnstructuredMesh
-    from voxtool.tets.volume import TetVolume
+    from voxtool.tets.volume.mesh import UnstructuredMesh
+    from voxtool.tets.volume.volume import TetVolume
 
 __all__ = [
     "ADF_FORMATS",
@@ -257,7 +258,7 @@ def read_unstructured(
     MemoryLimitError
         reading needs more memory than is allowed or free.
     """
-    from voxtool.files.unstructured import read
+    from voxtool.files.cells.unstructured import read
 
     return read(path, scalar, component, max_memory)
 
@@ -394,7 +395,7 @@ def write_blocks(
     FileError
         If the file cannot be written, or is of another format.
     """
-    from voxtool.files.mesh import relative_to
+    from voxtool.files.meshes.mesh import relative_to
 
     _write(relative_to(surface, origin), path, clobber, format, {"ply": MESH_FORMATS["ply"]})
 
@@ -436,7 +437,7 @@ def write_mesh(
         If the text does not fit in memory.
     """
     if origin is not None:
-        from voxtool.files.mesh import relative_to
+        from voxtool.files.meshes.mesh import relative_to
 
         mesh = relative_to(mesh, origin)
     of_parts = hasattr(mesh, "sides")  # a LabelledSurface
@@ -457,7 +458,7 @@ def write_mesh(
         mesh, of = mesh.coloured() if format in COLOUR_FORMATS else (mesh.mesh(), ...)
         normals = None if normals is None else normals[of]
     if not hasattr(mesh, "source_sha256"):  # no Mesh yet
-        from voxtool.files.mesh import as_mesh
+        from voxtool.files.meshes.mesh import as_mesh
 
         mesh = as_mesh(mesh)
     _write(mesh, path, clobber, format, MESH_FORMATS, normals=normals)

@@ -26,12 +26,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from voxtool.adf.field import DistanceField
-from voxtool.adf.narrow_band import LevelSet
-from voxtool.adf.samples import FieldSamples, grid_over
+from voxtool.adf.field.field import DistanceField
+from voxtool.adf.queries.samples import FieldSamples, grid_over
+from voxtool.adf.surface.narrow_band import LevelSet
 from voxtool.errors import FileError, GridError, MemoryLimitError, VoxtoolError, human
-from voxtool.files import atomic, streams
-from voxtool.files.attributes import chosen_attributes
+from voxtool.files.cells.vtkhdf_volume import VolumeCells
 from voxtool.files.formats import (
     EXCHANGE,
     EXPORTS,
@@ -42,21 +41,22 @@ from voxtool.files.formats import (
     format_of,
     function_of,
 )
+from voxtool.files.grids.attributes import chosen_attributes
 from voxtool.files.lattices import unit_checked
-from voxtool.files.streams import PathLike
-from voxtool.files.vtkhdf_volume import VolumeCells
+from voxtool.files.storage import atomic, streams
+from voxtool.files.storage.streams import PathLike
 from voxtool.grid import Grid, check_single
 from voxtool.job import Cost, Job, Plan
 from voxtool.memory import available_memory, check_disk
 from voxtool.opencl import Device
-from voxtool.svo.attribute_image import AttributeImage, attributes_of
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.hexahedra import Hexahedra
-from voxtool.svo.image import VoxelImage
-from voxtool.svo.image_parts import ImageInParts, bytes_of, fitting_image
-from voxtool.svo.labels import Labels
-from voxtool.svo.leaf_hexahedra import LeafHexahedra
-from voxtool.tets.volume import TetVolume
+from voxtool.svo.images.attribute_image import AttributeImage, attributes_of
+from voxtool.svo.images.image import VoxelImage
+from voxtool.svo.images.image_parts import ImageInParts, bytes_of, fitting_image
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.sets.labels import Labels
+from voxtool.svo.solvers.hexahedra import Hexahedra
+from voxtool.svo.solvers.leaf_hexahedra import LeafHexahedra
+from voxtool.tets.volume.volume import TetVolume
 
 WRITE = "write file"
 Image: TypeAlias = (

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from voxtool.errors import FileError
-from voxtool.files.atomic import check_target
-from voxtool.files.streams import STREAM, PathLike
+from voxtool.files.storage.atomic import check_target
+from voxtool.files.storage.streams import STREAM, PathLike
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -63,32 +63,40 @@ class Exchange(NamedTuple):
 
 # Writers, by the extension that names them.
 SVO_FORMATS = {
-    "svo.h5": Writer("svo_hdf5"),
-    "svo.xml": Writer("svo_xml", text=True),
-    "svo.xml.gz": Writer("svo_xml", "write_gz"),
-    "voccel.xml": Writer("svo_xml", "write_voccel", text=True),
-    "h5": Writer("svo_hdf5"),
-    "xml": Writer("svo_xml", text=True),
-    "xml.gz": Writer("svo_xml", "write_gz"),
+    "svo.h5": Writer("octrees.svo_hdf5"),
+    "svo.xml": Writer("octrees.svo_xml", text=True),
+    "svo.xml.gz": Writer("octrees.svo_xml", "write_gz"),
+    "voccel.xml": Writer("octrees.svo_xml", "write_voccel", text=True),
+    "h5": Writer("octrees.svo_hdf5"),
+    "xml": Writer("octrees.svo_xml", text=True),
+    "xml.gz": Writer("octrees.svo_xml", "write_gz"),
 }
 OCTREE_FORMATS = tuple(name for name in SVO_FORMATS if "." in name and name != "xml.gz")
 MERGED_FORMATS = ("svo.h5", "h5")  # those that hold merged subtrees
-ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
-TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
+ADF_FORMATS = {"adf.h5": Writer("fields.adf_hdf5"), "h5": Writer("fields.adf_hdf5")}
+TET_FORMATS = {"tet.h5": Writer("cells.tet_hdf5"), "h5": Writer("cells.tet_hdf5")}
 EXCHANGE = {
-    "npy": Exchange("npy", "dtype", dense=True, attributes="one"),
+    "npy": Exchange("grids.npy", "dtype", dense=True, attributes="one"),
     "npz": Exchange(
-        "npz", "grid, dtype; of the set cells alone", dense=True, points=True, attributes="all"
+        "grids.npz",
+        "grid, dtype; of the set cells alone",
+        dense=True,
+        points=True,
+        attributes="all",
     ),
-    "vti": Exchange("vti", "grid, dtype", dense=True, attributes="all"),
-    "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel", dense=True, attributes="one"),
+    "vti": Exchange("grids.vti", "grid, dtype", dense=True, attributes="all"),
+    "nii": Exchange(
+        "grids.nifti", "grid, dtype, unit", needs="nibabel", dense=True, attributes="one"
+    ),
     "nii.gz": Exchange(
-        "nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True, attributes="one"
+        "grids.nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True, attributes="one"
     ),
-    "nrrd": Exchange("nrrd", "grid, dtype, unit", dense=True, attributes="one"),
-    "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool", dtypes=("bool",)),
+    "nrrd": Exchange("grids.nrrd", "grid, dtype, unit", dense=True, attributes="one"),
+    "binvox": Exchange(
+        "grids.binvox", "the grid as a cube, with cubic voxels; bool", dtypes=("bool",)
+    ),
     "ply": Exchange(
-        "centers",
+        "grids.centers",
         "centres of the set cells, and their values",
         "_ply",
         reads=False,
@@ -97,7 +105,7 @@ EXCHANGE = {
         attributes="all",
     ),
     "xyz": Exchange(
-        "centers",
+        "grids.centers",
         "centres of the set cells",
         "_xyz",
         reads=False,
@@ -107,9 +115,9 @@ EXCHANGE = {
         attributes="all",
     ),
     "vdb": Exchange(
-        "vdb",
+        "grids.vdb",
         "grid, coverage; bool or float32; cubes as tiles",
-        levels="vdb_levels",
+        levels="grids.vdb_levels",
         grids=True,
         whole=True,
         attributes="all",
@@ -117,23 +125,27 @@ EXCHANGE = {
         opacity=False,
     ),
     "vox": Exchange(
-        "vox", "grid; which cells are set", dtypes=("bool",), whole=True, attributes="palette"
+        "grids.vox", "grid; which cells are set", dtypes=("bool",), whole=True, attributes="palette"
     ),
     "nvdb": Exchange(
-        "nvdb",
+        "grids.nvdb",
         "place, coverage as float32; cubes as tiles",
-        levels="nvdb_levels",
+        levels="grids.nvdb_levels",
         reads=False,
         whole=True,
         attributes="all",
         kinds=("label", "area", "fraction"),
     ),
     "vtkhdf": Exchange(
-        "vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume", whole=True, attributes="all"
+        "grids.vtkhdf",
+        "grid, levels, coverage",
+        volumes="cells.vtkhdf_volume",
+        whole=True,
+        attributes="all",
     ),
     **{
         name: Exchange(
-            name,
+            f"cells.{name}",
             "set cells as hexahedra, materials, surfaces",
             reads=False,
             dtypes=("bool",),
@@ -142,10 +154,14 @@ EXCHANGE = {
         )
         for name in ("vtu", "msh", "inp")
     },
-    "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True, attributes="one"),
-    "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True, attributes="one"),
+    "tif": Exchange(
+        "grids.tiff", "grid, dtype, unit", needs="tifffile", dense=True, attributes="one"
+    ),
+    "tiff": Exchange(
+        "grids.tiff", "grid, dtype, unit", needs="tifffile", dense=True, attributes="one"
+    ),
     "ome.zarr": Exchange(
-        "ome_zarr",
+        "grids.ome_zarr",
         "grid, coverage, a pyramid of it, unit",
         needs="zarr",
         folder=True,
@@ -153,20 +169,25 @@ EXCHANGE = {
         attributes="all",
     ),
     "%04d.png": Exchange(
-        "layers", "which cells are set", reads=False, folder=True, dtypes=("bool",)
+        "pictures.picture_layers", "which cells are set", reads=False, folder=True, dtypes=("bool",)
     ),
-    "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False, whole=True),
+    "png": Exchange(
+        "pictures.slice_png", "one slice, as a picture", reads=False, parts=False, whole=True
+    ),
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
 IMPORTS = tuple(name for name, format in EXCHANGE.items() if format.reads)
 IMAGES = tuple(name for name in IMPORTS if EXCHANGE[name].dense)  # what can become a field
-LINK_FORMATS = {"npz": Writer("wall_links", "write_npz"), "h5": Writer("wall_links", "write_h5")}
+LINK_FORMATS = {
+    "npz": Writer("grids.wall_links", "write_npz"),
+    "h5": Writer("grids.wall_links", "write_h5"),
+}
 MESH_FORMATS = {
-    name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
+    name: Writer("meshes.mesh_writers", f"write_{name}", text=name in ("obj", "off"))
     for name in ("obj", "ply", "stl", "glb", "off")
 }
 PART_FORMATS = {  # of several meshes in one file
-    name: Writer("mesh_parts", f"write_{name}", text=name == "obj")
+    name: Writer("meshes.mesh_parts", f"write_{name}", text=name == "obj")
     for name in ("obj", "glb", "3mf")
 }
 TEXT_FORMATS = (  # fit for a terminal
@@ -214,7 +235,7 @@ AN_EXPORT = {
     "made from",
 }
 OCTREE = Kind(
-    hdf5=("svo_hdf5",),
+    hdf5=("octrees.svo_hdf5",),
     xml=True,
     mesh="is a mesh: voxelize it first (voxtool voxelize {name})",
     other="is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)",
@@ -222,7 +243,7 @@ OCTREE = Kind(
 )
 STORED_OCTREE = replace(OCTREE, sliced=True)
 FIELD = Kind(
-    hdf5=("adf_hdf5",),
+    hdf5=("fields.adf_hdf5",),
     mesh="is a mesh: build a field first: voxtool adf-build {name}",
     other="is no distance field: expected HDF5 (.adf.h5)",
     endings={
@@ -231,15 +252,15 @@ FIELD = Kind(
         (".svo.xml", ".svo.xml.gz"): "is an octree: build a field first: voxtool adf-build MESH",
     },
 )
-STORED_FIELD = replace(FIELD, hdf5=("adf_slices",), sliced=True)
+STORED_FIELD = replace(FIELD, hdf5=("fields.adf_slices",), sliced=True)
 VOLUME = Kind(
-    hdf5=("tet_hdf5",),
+    hdf5=("cells.tet_hdf5",),
     mesh="is a mesh of triangles: a volume is built of tetrahedra or hexahedra: voxtool tet-build "
     "MESH.vtu",
     other="is no tetrahedral volume: expected HDF5 (.tet.h5)",
 )
 SHAPE = Kind(
-    hdf5=("svo_hdf5", "adf_hdf5"),
+    hdf5=("octrees.svo_hdf5", "fields.adf_hdf5"),
     xml=True,
     mesh="is a mesh: voxelize it first (voxtool voxelize {name}), or voxtool adf-build {name}",
     other=OCTREE.other,
@@ -247,7 +268,7 @@ SHAPE = Kind(
 )
 STORED_SHAPE = replace(SHAPE, sliced=True)
 SCENE = Kind(
-    hdf5=("svo_hdf5", "adf_hdf5", "tet_hdf5"),
+    hdf5=("octrees.svo_hdf5", "fields.adf_hdf5", "cells.tet_hdf5"),
     xml=True,
     mesh="is a mesh: make an octree or a field of it first: voxtool voxelize {name}, or voxtool "
     "adf-build {name}",
@@ -311,7 +332,7 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
             f"{name} is a mesh of volume cells: build its textures first: voxtool tet-build {name}"
         )
     if opening.startswith(HDF5):
-        from voxtool.files import hdf5
+        from voxtool.files.storage import hdf5
 
         schemas = (import_module(f"voxtool.files.{module}").SCHEMA for module in kind.hdf5)
         return partial(hdf5.read_slices if kind.sliced else hdf5.read, schemas)
@@ -322,9 +343,9 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
         if lower.endswith(endings):
             raise FileError(f"{name} {message.format(name=name)}")
     if kind.xml and opening.startswith(GZIP):
-        return import_module("voxtool.files.svo_xml").read_gz
+        return import_module("voxtool.files.octrees.svo_xml").read_gz
     if kind.xml and opening.removeprefix(BOM).lstrip().startswith(b"<"):
-        return import_module("voxtool.files.svo_xml").read
+        return import_module("voxtool.files.octrees.svo_xml").read
     raise FileError(f"{name} {kind.other}")
 
 

@@ -24,11 +24,10 @@ from math import prod
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from voxtool.adf.field import DistanceField
-from voxtool.adf.from_image import WORK_BYTES, ImageCube, check_request, field_of_image
+from voxtool.adf.construction.from_image import WORK_BYTES, ImageCube, check_request, field_of_image
+from voxtool.adf.field.field import DistanceField
 from voxtool.choices import DEFAULT_TOLERANCE
 from voxtool.errors import FileError, VoxtoolError, one_line
-from voxtool.files import streams
 from voxtool.files.formats import (
     ADF_FORMATS,
     EXCHANGE,
@@ -41,13 +40,14 @@ from voxtool.files.formats import (
     function_of,
     is_mesh,
 )
-from voxtool.files.streams import PathLike
-from voxtool.files.voxels import PIECE, Rule, Stored, array_of, octree_of
+from voxtool.files.grids.voxels import PIECE, Rule, Stored, array_of, octree_of
+from voxtool.files.storage import streams
+from voxtool.files.storage.streams import PathLike
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job, Plan
 from voxtool.memory import at_most, available_memory
 from voxtool.opencl import Device
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 
 # Errors in which damage shows while other libraries read.
 DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, ArithmeticError)

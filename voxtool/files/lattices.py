@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from voxtool.errors import GridError, MeshWarning
 from voxtool.files.formats import IMPORTS
-from voxtool.files.streams import PathLike, input_name
+from voxtool.files.storage.streams import PathLike, input_name
 from voxtool.grid import Grid
 from voxtool.mesh.lengths import conversion, in_units, share_beyond
 from voxtool.mesh.mesh import Mesh
 from voxtool.units import difference
 
 if TYPE_CHECKING:
-    from voxtool.adf.field import DistanceField
-    from voxtool.svo.content import OctreeContent
+    from voxtool.adf.field.field import DistanceField
+    from voxtool.svo.octree.content import OctreeContent
 
 
 class Lattice(NamedTuple):

@@ -2,8 +2,9 @@
 
 The stages:
 
-1. The fill rule decides which voxels of a grid are inside, as in `voxelize` (svo/voxelize.py).
-2. Components that are not wanted are dropped (svo/components.py).
+1. The fill rule decides which voxels of a grid are inside, as in `voxelize`
+(svo/voxelization/voxelize.py).
+2. Components that are not wanted are dropped (svo/sets/components.py).
 3. A surface net separates the voxels from the others: closed and manifold (svo/surface).
 4. Its vertices move onto the mesh, where it passes their cells (fit.py), and the distances between
    the two are measured.
@@ -32,25 +33,17 @@ from voxtool.repairing.plan import STYLE, RepairPlan
 from voxtool.repairing.result import Repaired
 from voxtool.repairing.simplify import check_library, simplify
 from voxtool.repairing.targets import Level, Target
-from voxtool.repairing.walls import (
-    beyond,
-    cavities,
-    check_walls,
-    drain_of,
-    plate,
-    thinnest,
-    within,
-)
+from voxtool.repairing.walls import beyond, cavities, check_walls, drain_of, plate, thinnest, within
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.svo.booleans import combine
-from voxtool.svo.components import plan_keep_components
+from voxtool.svo.sets.booleans import combine
+from voxtool.svo.sets.components import plan_keep_components
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+from voxtool.svo.voxelization.voxelize import VoxelizeJob, plan_voxelize
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
 
 def grid_for(mesh: Mesh, dim: int | None = None, tolerance: float | None = None) -> Grid:

@@ -19,9 +19,9 @@ from voxtool.repairing.walls import morphed
 from voxtool.spatial.deviation import averages, largest, one_way
 from voxtool.spatial.hausdorff import bound
 from voxtool.spatial.sampling import SurfaceSampler
-from voxtool.svo.booleans import combine
-from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.booleans import combine
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 from voxtool.vector import dot
 
 if TYPE_CHECKING:

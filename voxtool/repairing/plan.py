@@ -10,11 +10,11 @@ from voxtool.errors import MemoryLimitError, human
 from voxtool.job import Cost, Plan
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.spatial.distance import POINTS_AT_ONCE, rounded_bytes
-from voxtool.svo.layout import BRICK_BYTES
+from voxtool.svo.octree.layout import BRICK_BYTES
 from voxtool.svo.surface.plan import EDGE_BYTES, TILE_BYTES, untangling_bytes
 
 if TYPE_CHECKING:
-    from voxtool.svo.plan import VoxelizePlan
+    from voxtool.svo.voxelization.plan import VoxelizePlan
 
 STYLE = "surface-nets"
 NET_STAGES = (

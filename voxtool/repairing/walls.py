@@ -19,10 +19,10 @@ import numpy as np
 from voxtool.errors import MeshWarning, VoxtoolError, at_least
 from voxtool.memory import check_memory
 from voxtool.repairing.targets import Cylinder
-from voxtool.svo.booleans import combine
-from voxtool.svo.components import plan_keep_components
-from voxtool.svo.morphology import plan_morph
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.booleans import combine
+from voxtool.svo.sets.components import plan_keep_components
+from voxtool.svo.sets.morphology import plan_morph
 from voxtool.vector import cross, unit
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from voxtool.choices import SURFACE_NETS, VOXEL_FACES
 from voxtool.selftest.case import case
 from voxtool.selftest.fields import to_box
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import extract
 
 if TYPE_CHECKING:

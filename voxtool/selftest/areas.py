@@ -11,7 +11,7 @@ from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
 from voxtool.svo.attribution.colours import plan_attributes
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

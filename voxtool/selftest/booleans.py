@@ -11,10 +11,10 @@ import numpy as np
 from voxtool.choices import MAX_DIM, OPERATIONS
 from voxtool.grid import Grid
 from voxtool.selftest.case import case
-from voxtool.svo.booleans import combine
-from voxtool.svo.collect import Collector
-from voxtool.svo.compare import compare
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.from_pieces import Collector
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.booleans import combine
+from voxtool.svo.sets.compare import compare
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,8 +11,8 @@ from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
-from voxtool.svo.labels import plan_components
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.sets.labels import plan_components
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

@@ -9,7 +9,7 @@ import numpy as np
 from voxtool.choices import MARCHING_CUBES, MAX_DIM, SURFACE_NETS, VOXEL_FACES
 from voxtool.grid import Grid
 from voxtool.selftest.case import case
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import extract
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
 """Digests of small octrees, surfaces, fields and pictures, the same on every device.
 
-tests/golden_selftest.py writes digests.json.
+tests/golden/selftest.py writes digests.json.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.build import build_adf
+from voxtool.adf.construction.build import build_adf
 from voxtool.camera import Camera
 from voxtool.choices import FILLS, MARCHING_CUBES, METHODS, SHARP, STYLES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
-from voxtool.rendering import render
+from voxtool.pictures.rendering import render
 from voxtool.selftest import shapes
 from voxtool.selftest.case import Case
 from voxtool.svo.surface.extract import extract
-from voxtool.svo.voxelize import voxelize
-from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import named
+from voxtool.svo.voxelization.voxelize import voxelize
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.pictures.transfer import named
+from voxtool.tets.volume.mesh import UnstructuredMesh
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

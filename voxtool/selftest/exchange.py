@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.from_image import field_of_image
-from voxtool.adf.query import query_adf
-from voxtool.files import inp, msh, npz, vtu
-from voxtool.files.voxels import Rule, octree_of
+from voxtool.adf.construction.from_image import field_of_image
+from voxtool.adf.queries.query import query_adf
+from voxtool.files.cells import inp, msh, vtu
+from voxtool.files.grids import npz
+from voxtool.files.grids.voxels import Rule, octree_of
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.morton import morton_encode
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
 from voxtool.spatial.sampling import sample_cube
-from voxtool.svo.hexahedra import SIDES, Hexahedra
-from voxtool.svo.image import VoxelImage
-from voxtool.svo.leaf_hexahedra import LeafHexahedra
-from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.images.image import VoxelImage
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.solvers.hexahedra import SIDES, Hexahedra
+from voxtool.svo.solvers.leaf_hexahedra import LeafHexahedra
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

@@ -10,10 +10,10 @@ from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
-from voxtool.svo.attributes import BITS
 from voxtool.svo.attribution.colours import plan_attributes
-from voxtool.svo.layout import BRICK_VOXELS
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.octree.attributes import BITS
+from voxtool.svo.octree.layout import BRICK_VOXELS
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

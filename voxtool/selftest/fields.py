@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.build import build_adf
-from voxtool.adf.cells import MAX_KEY, cell_of
-from voxtool.adf.hashing import build_hash
-from voxtool.adf.levels import CROSSED
-from voxtool.adf.query import query_adf
-from voxtool.adf.scene import FieldScene
-from voxtool.adf.spatial_hash import SpatialHash
+from voxtool.adf.construction.build import build_adf
+from voxtool.adf.construction.stages import CROSSED
+from voxtool.adf.field.cells import MAX_KEY, cell_of
+from voxtool.adf.field.hashing import build_hash
+from voxtool.adf.field.spatial_hash import SpatialHash
+from voxtool.adf.pictures.scene import FieldScene
+from voxtool.adf.queries.query import query_adf
 from voxtool.adf.surface.extract import extract_field_surface
 from voxtool.errors import DeviceError
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
@@ -32,7 +32,7 @@ from voxtool.spatial.winding_number import WindingNumber
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
 
     Exact = Callable[[np.ndarray], np.ndarray]
 

@@ -15,11 +15,11 @@ from voxtool.mesh.topology import volume
 from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
 from voxtool.svo.attribution.fraction import plan_fractions
-from voxtool.svo.layout import BRICK_VOXELS
+from voxtool.svo.octree.layout import BRICK_VOXELS
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
 UNIT = 1 << FINEST_BITS  # a voxel: vertices are in units of the finest lattice
 SHAPE = (12, 10, 11)

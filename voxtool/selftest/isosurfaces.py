@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from voxtool.camera import Rays
-    from voxtool.tets.transfer import TransferFunction
+    from voxtool.tets.pictures.transfer import TransferFunction
 
 AMBIENT = 0.08  # of the brightness: half Lambert's law [Mitchell 2006]
 

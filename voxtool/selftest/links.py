@@ -13,8 +13,8 @@ from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
-from voxtool.svo.voxelize import voxelize
-from voxtool.svo.wall_links import CROSSED, STEPS, WallLinks, plan_wall_links
+from voxtool.svo.solvers.wall_links import CROSSED, STEPS, WallLinks, plan_wall_links
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

@@ -9,12 +9,12 @@ import numpy as np
 from voxtool.choices import MAX_DIM
 from voxtool.grid import Grid
 from voxtool.selftest.case import case
-from voxtool.svo.booleans import combine
-from voxtool.svo.collect import Collector
-from voxtool.svo.links import level_states
-from voxtool.svo.merge import Subtrees, join, merge
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import Octree
+from voxtool.svo.dag.merge import Subtrees, join, merge
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.from_pieces import Collector
+from voxtool.svo.octree.links import level_states
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.booleans import combine
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

@@ -12,11 +12,11 @@ from voxtool.choices import MAX_DIM
 from voxtool.grid import Grid
 from voxtool.selftest.case import case
 from voxtool.selftest.exchange import differing
-from voxtool.svo.labels import plan_components
-from voxtool.svo.morphology import plan_morph
-from voxtool.svo.octree import Octree
-from voxtool.svo.resample import plan_resample
-from voxtool.svo.thin import plan_thin
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.labels import plan_components
+from voxtool.svo.sets.morphology import plan_morph
+from voxtool.svo.sets.resample import plan_resample
+from voxtool.svo.sets.thin import plan_thin
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.build import build_adf
-from voxtool.adf.field import DistanceField
-from voxtool.adf.packing import unpack
+from voxtool.adf.construction.build import build_adf
+from voxtool.adf.field.field import DistanceField
+from voxtool.adf.field.packing import unpack
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Device
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
-from voxtool.svo.octree import Octree
-from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.textures import build_tet
+from voxtool.svo.octree.octree import Octree
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.volume.mesh import UnstructuredMesh
 from voxtool.viewer.job import plan_view
 
 if TYPE_CHECKING:
-    from voxtool.rendering import Content
+    from voxtool.pictures.rendering import Content
     from voxtool.viewer.page import Page
 
 BLOCK = re.compile(r'<script type="([^"]*)" id="([^"]*)">(.*?)</script>', re.DOTALL)

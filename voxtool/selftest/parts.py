@@ -16,10 +16,10 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import closed_chain
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
-from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.labels import plan_labels
-from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.layout import BRICK_SIDE, BRICK_VOXELS
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.isosurface import LATTICE, LATTICE_BITS
 from voxtool.svo.surface.labelled import plan_labelled
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from voxtool.grid import Grid
 from voxtool.selftest.case import case
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import Octree
-from voxtool.svo.query import OctreeQuery
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.queries.query import OctreeQuery
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.camera import Rays
-    from voxtool.tets.transfer import TransferFunction
+    from voxtool.tets.pictures.transfer import TransferFunction
 
 PAIRS = 1 << 19  # pairs of a cell and a pixel in a band of the picture
 ROUNDING = 1e-14  # of a volume, relative to its terms; cells below it count as flat

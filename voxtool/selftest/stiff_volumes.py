@@ -18,11 +18,11 @@ import numpy as np
 
 from voxtool.camera import Camera
 from voxtool.choices import METHODS
-from voxtool.rendering import render
+from voxtool.pictures.rendering import render
 from voxtool.selftest import reference, shapes
-from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import TransferFunction
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.pictures.transfer import TransferFunction
+from voxtool.tets.volume.mesh import UnstructuredMesh
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.build import build_adf
-from voxtool.adf.query import query_adf
+from voxtool.adf.construction.build import build_adf
+from voxtool.adf.queries.query import query_adf
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
 from voxtool.vector import cross
 
 if TYPE_CHECKING:
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
     from voxtool.opencl import Device
 
 KINDS = ("wedge", "plate", "rod", "shell", "needle", "sheets")

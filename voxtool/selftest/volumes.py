@@ -14,18 +14,18 @@ import numpy as np
 from voxtool.camera import Camera
 from voxtool.choices import METHODS
 from voxtool.opencl import Device
-from voxtool.rendering import render
+from voxtool.pictures.rendering import render
 from voxtool.selftest import reference, shapes
 from voxtool.selftest.case import Case, case
 from voxtool.selftest.isosurfaces import isosurfaces
 from voxtool.selftest.stiff_volumes import BOUNDS, error_of
-from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import TransferFunction
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.pictures.transfer import TransferFunction
+from voxtool.tets.volume.mesh import UnstructuredMesh
 
 SOURCE = "selftest/segments.cl"
 GROUP = 64
-WEIGHTS = 1e-6  # of each: what kernels/tets/segment.h promises
+WEIGHTS = 1e-6  # of each: what kernels/tets/pictures/segment.h promises
 NEAR = 2e-5  # of a colour: float32 planes, depths and scalars
 ROUNDED = 2.0**-23  # of the range of scalars: two roundings of a float32 from 1/2 to 1
 SEEN = 1e-30  # light that is let through counts down to this

@@ -16,13 +16,13 @@ from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
 from voxtool.selftest.crowds import CROWDS
 from voxtool.spatial.orientation import orient
-from voxtool.svo.raycast import depths
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.pictures.raycast import depths
+from voxtool.svo.voxelization.voxelize import voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.octree.octree import Octree
 
 ORACLES = {
     "surface26": oracles.surface26,

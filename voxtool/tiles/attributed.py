@@ -19,22 +19,22 @@ import numpy as np
 
 from voxtool.arrays import digest_of
 from voxtool.choices import COLOURS
-from voxtool.files.windows import Key, Window
+from voxtool.files.octrees.windows import Key, Window
 from voxtool.mesh.appearance import Appearance
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.subset import mesh_of
-from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.colours import EXPOSED as STAGE
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.exposed import exposed_voxels, with_exposed
-from voxtool.svo.attribution.look import textures_of
+from voxtool.svo.attribution.materials import textures_of
 from voxtool.svo.attribution.nearest_surface import NearestSurface
 from voxtool.svo.attribution.surface_pass import without_values
-from voxtool.svo.cells import cube
-from voxtool.svo.content import StoredOctree
-from voxtool.svo.layout import BRICK, NODE
-from voxtool.svo.links import FULL, REFINED, nodes_of, offsets_of
-from voxtool.svo.octree import Octree
+from voxtool.svo.cells.subtrees import cube
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.content import StoredOctree
+from voxtool.svo.octree.layout import BRICK, NODE
+from voxtool.svo.octree.links import FULL, REFINED, nodes_of, offsets_of
+from voxtool.svo.octree.octree import Octree
 from voxtool.tiles.operations import Operand
 from voxtool.tiles.spread import Sent
 from voxtool.tiles.subtree import Subtree, leaf_subtree, subtree_of

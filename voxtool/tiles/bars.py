@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voxtool.files.windows import Window
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.links import FULL, REFINED
-from voxtool.svo.octree import Octree
+from voxtool.files.octrees.windows import Window
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.links import FULL, REFINED
+from voxtool.svo.octree.octree import Octree
 from voxtool.tiles.subtree import Subtree, leaf_subtree, subtree_of, voxels_of
 
 

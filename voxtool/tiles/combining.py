@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from voxtool.errors import MemoryLimitError
-from voxtool.files.windows import Key
+from voxtool.files.octrees.windows import Key
 from voxtool.grid import Grid
 from voxtool.job import Cost
-from voxtool.svo.booleans import CombineJob, CombinePlan, Terms, plan_of
-from voxtool.svo.cells import cube
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.octree import Octree
+from voxtool.svo.cells.subtrees import cube
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.booleans import CombineJob, CombinePlan, Terms, plan_of
 from voxtool.tiles.operations import Operand, OperationJob, fits
 
 

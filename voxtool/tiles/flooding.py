@@ -1,8 +1,8 @@
 """Floods in windows: what is outside depends on all of the grid, what is kept on a window.
 
-First each window says which pieces of free space it shares with others (svo/fill/flood.py). They
-are united, also across cubes that no face reaches, which are one piece each. Then each window is
-made from the roots of its pieces that are outside.
+First each window says which pieces of free space it shares with others
+(svo/voxelization/fill/flood.py). They are united, also across cubes that no face reaches, which are
+one piece each. Then each window is made from the roots of its pieces that are outside.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.files.windows import Key
+from voxtool.files.octrees.windows import Key
 from voxtool.job import Cost
-from voxtool.svo.fill.flood import window_frame
-from voxtool.svo.fill.outside import Outside
-from voxtool.svo.fill.pieces import Shared, cubes_of
-from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.links import EMPTY, FULL
-from voxtool.svo.plan import CELL, flood_block, flood_steps
+from voxtool.svo.octree.layout import BRICK_SIDE
+from voxtool.svo.octree.links import EMPTY, FULL
+from voxtool.svo.voxelization.fill.flood import window_frame
+from voxtool.svo.voxelization.fill.flood_pieces import Shared, cubes_of
+from voxtool.svo.voxelization.fill.outside import Outside
+from voxtool.svo.voxelization.plan import CELL, flood_block, flood_steps
 from voxtool.tiles.subtree import shape_of
 from voxtool.tiles.windows import Part, Wanted, WindowsJob, WindowsPlan, stored_bytes
 from voxtool.tiles.workers import plan_flood, shared_pieces

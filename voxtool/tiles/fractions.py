@@ -17,12 +17,11 @@ import numpy as np
 
 from voxtool.arrays import digest_of
 from voxtool.errors import MemoryLimitError, count_of
-from voxtool.files.windows import Key, Store, Window
+from voxtool.files.octrees.windows import Key, Store, Window
 from voxtool.grid import Grid
 from voxtool.job import Cost
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.fraction import (
     LATTICE_BITS,
     MODE,
@@ -36,20 +35,14 @@ from voxtool.svo.attribution.fraction_rows import Shares
 from voxtool.svo.attribution.labels import fill_of
 from voxtool.svo.attribution.labels_window import PartsOfWindows
 from voxtool.svo.attribution.part_fractions import PartFractionsJob
-from voxtool.svo.stored_volume import WHOLE
-from voxtool.svo.voxelize import Window as Box
+from voxtool.svo.octree.attributes import BITS, Attribute
+from voxtool.svo.octree.stored_volume import WHOLE
+from voxtool.svo.voxelization.voxelize import Window as Box
 from voxtool.tiles.bars import Cube, attributes_within, cubes_along
 from voxtool.tiles.labelled import LabelWindowsJob
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.subtree import LEAST, MARGIN, halves_of, shape_of
-from voxtool.tiles.windows import (
-    SHARE,
-    Part,
-    Wanted,
-    WindowsJob,
-    WindowsPlan,
-    sets_nothing,
-)
+from voxtool.tiles.windows import SHARE, Part, Wanted, WindowsJob, WindowsPlan, sets_nothing
 
 AXES = "xyz"
 

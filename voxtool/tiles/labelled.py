@@ -10,10 +10,10 @@ import numpy as np
 
 from voxtool.arrays import digest_of
 from voxtool.errors import OnePieceError
-from voxtool.files.windows import Key
-from voxtool.svo.attributes import Attribute
+from voxtool.files.octrees.windows import Key
 from voxtool.svo.attribution.labels import PartLabelsJob, fill_of
 from voxtool.svo.attribution.labels_window import PartsOfWindows
+from voxtool.svo.octree.attributes import Attribute
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.spread import Sent
 from voxtool.tiles.subtree import MARGIN

@@ -12,15 +12,15 @@ import numpy as np
 from voxtool.choices import COLOURS, DEFAULT_MODE, ELEMENTS, OPERATIONS, PRIORITIES
 from voxtool.files import write_svo
 from voxtool.files.lattices import placed
-from voxtool.files.mesh import as_mesh
-from voxtool.files.windows import Windows
+from voxtool.files.meshes.mesh import as_mesh
+from voxtool.files.octrees.windows import Windows
 from voxtool.grid import Grid
 from voxtool.mesh.appearance import Parts
 from voxtool.opencl import Device, default_device
 from voxtool.svo.attribution.request import kept_for, plan_octree
-from voxtool.svo.booleans import plan_combine
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.booleans import plan_combine
 from voxtool.tiles.combining import CombineWindowsJob
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree

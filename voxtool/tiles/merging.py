@@ -11,12 +11,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from voxtool.errors import human
-from voxtool.files.windows import Window
-from voxtool.svo.layout import BRICK
-from voxtool.svo.merge import CHILDREN, Subtrees
-from voxtool.svo.merged import MERGE_BYTES
-from voxtool.svo.plan import VoxelizePlan
-from voxtool.svo.voxelize import VoxelizeJob
+from voxtool.files.octrees.windows import Window
+from voxtool.svo.dag.merge import CHILDREN, Subtrees
+from voxtool.svo.dag.merged import MERGE_BYTES
+from voxtool.svo.octree.layout import BRICK
+from voxtool.svo.voxelization.plan import VoxelizePlan
+from voxtool.svo.voxelization.voxelize import VoxelizeJob
 
 
 def merging_fits(job: VoxelizeJob) -> bool:

@@ -13,15 +13,15 @@ import numpy as np
 
 from voxtool.choices import ELEMENTS
 from voxtool.errors import MemoryLimitError
-from voxtool.files.windows import Key
+from voxtool.files.octrees.windows import Key
 from voxtool.grid import Grid
 from voxtool.job import Cost
 from voxtool.opencl import Device
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.links import EMPTY, FULL
-from voxtool.svo.morphology import MorphJob, MorphPlan, batch_of, plan_of, why_empty
-from voxtool.svo.octree import Octree
-from voxtool.svo.tiling import LEVEL, Box, Tiling
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.links import EMPTY, FULL
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.morphology import MorphJob, MorphPlan, batch_of, plan_of, why_empty
+from voxtool.svo.sets.tiling import LEVEL, Box, Tiling
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.operations import Operand, OperationJob, fits
 

@@ -14,12 +14,12 @@ import numpy as np
 
 from voxtool.arrays import Blocks
 from voxtool.errors import VoxtoolError
-from voxtool.files.windows import Key, Store
+from voxtool.files.octrees.windows import Key, Store
 from voxtool.grid import Grid
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.exact_sums import exact_sum
-from voxtool.svo.layout import BRICK, BRICK_BYTES, NODE, NODE_BYTES
-from voxtool.svo.links import nodes_of, offsets_of
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.exact_sums import exact_sum
+from voxtool.svo.octree.layout import BRICK, BRICK_BYTES, NODE, NODE_BYTES
+from voxtool.svo.octree.links import nodes_of, offsets_of
 from voxtool.tiles.subtree import Subtree
 
 

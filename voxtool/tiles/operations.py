@@ -1,9 +1,9 @@
 """Operations on octrees that are larger than the memory that they may take, window by window.
 
 A window is a cube of the result's grid (subtree.py). Only those parts of each octree that can
-change a window are read (svo/cells.py), and the operation is that of octrees in memory. A cube that
-is wholly empty or full is not read at all; a window that does not fit after all is divided in
-eight.
+change a window are read (svo/cells/subtrees.py), and the operation is that of octrees in memory. A
+cube that is wholly empty or full is not read at all; a window that does not fit after all is
+divided in eight.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 
 from voxtool.errors import MemoryLimitError, count_of, human
-from voxtool.files.windows import Key, Window, Windows
+from voxtool.files.octrees.windows import Key, Window, Windows
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job, Plan
 from voxtool.memory import available_memory
 from voxtool.opencl import Device
-from voxtool.svo.attribution.carry import kept_bytes, kept_of, lost
-from voxtool.svo.cells import Cells, cube
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.links import EMPTY, FULL, REFINED
-from voxtool.svo.octree import Octree
+from voxtool.svo.cells.subtrees import Cells, cube
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.links import EMPTY, FULL, REFINED
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.attribute_transfer import kept_bytes, kept_of, lost
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.subtree import (
     Subtree,

@@ -8,7 +8,7 @@ from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.fraction import FractionJob
 from voxtool.svo.attribution.labels import PartLabelsJob
 from voxtool.svo.attribution.part_fractions import PartFractionsJob
-from voxtool.svo.connected.about import refuse_windows
+from voxtool.svo.voxelization.connected.about import refuse_windows
 from voxtool.tiles.flooding import FloodWindowsJob
 from voxtool.tiles.fractions import FractionWindowsJob, PartFractionWindowsJob
 from voxtool.tiles.labelled import LabelWindowsJob

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from voxtool.files.windows import Key, Store, Window, write_beside
+from voxtool.files.octrees.windows import Key, Store, Window, write_beside
 from voxtool.opencl import Device, shared_device
 from voxtool.tiles.cluster import results, threads_of
 

@@ -2,8 +2,8 @@
 
 A window of a grid, a cube whose side is a power of two and whose corner is a multiple of it, is a
 subtree of the grid's octree: voxelized by itself it has the same nodes and bricks. The states of
-its nodes are all that is kept of a window until the octree is written (svo/links.py), and labels
-of its full leaves; its bricks wait elsewhere, in the order of the windows.
+its nodes are all that is kept of a window until the octree is written (svo/octree/links.py), and
+labels of its full leaves; its bricks wait elsewhere, in the order of the windows.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from voxtool.errors import MemoryLimitError, human
-from voxtool.files.windows import Key
+from voxtool.files.octrees.windows import Key
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
-from voxtool.svo.layout import BRICK_SIDE, descend
-from voxtool.svo.links import EMPTY, FULL, REFINED, level_states
-from voxtool.svo.octree import Octree
-from voxtool.svo.plan import NODE_BLOCK
+from voxtool.svo.octree.layout import BRICK_SIDE, descend
+from voxtool.svo.octree.links import EMPTY, FULL, REFINED, level_states
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.plan import NODE_BLOCK
 
 LEAST = NODE_BLOCK  # voxels along a side of a window
 MARGIN = 8  # voxels around a window whose faces may reach into its nodes

@@ -1,11 +1,11 @@
 """Surfaces of octrees that are larger than the memory that they may take, window by window.
 
-A window is a cell of the octree (svo/cells.py) with a margin, from which the surface is extracted
-as from any octree. Tiles of samples, and with them vertices and triangles, are in Morton order; so
-are the windows, and what the tiles of a window hold is a part of the whole, as it is. Only the
-numbers of vertices are those of the window. Triangles at its sides have vertices of other windows;
-these are found by their tile, and by their place among the vertices of the tile. Points and
-triangles wait on disk until the last window is done.
+A window is a cell of the octree (svo/cells/subtrees.py) with a margin, from which the surface is
+extracted as from any octree. Tiles of samples, and with them vertices and triangles, are in Morton
+order; so are the windows, and what the tiles of a window hold is a part of the whole, as it is.
+Only the numbers of vertices are those of the window. Triangles at its sides have vertices of other
+windows; these are found by their tile, and by their place among the vertices of the tile. Points
+and triangles wait on disk until the last window is done.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import numpy as np
 
 from voxtool.choices import MARCHING_CUBES, SHARP
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
-from voxtool.files.spool import Piece, Spool
+from voxtool.files.storage.spool import Piece, Spool
 from voxtool.job import Cost, Job, Plan
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Device
-from voxtool.svo.cells import AROUND, Cells
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
+from voxtool.svo.cells.subtrees import AROUND, Cells
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.layout import BRICK_BYTES, NODE_BYTES
 from voxtool.svo.surface.blocks import BlockSurface
 from voxtool.svo.surface.cut_cells import find_tiles, lost_of
 from voxtool.svo.surface.extract import (

@@ -3,7 +3,7 @@
 A window is a subtree of the octree (subtree.py). The grid is halved along its axes until each
 window's plan fits; windows without a triangle that matters to them cost nothing. They are voxelized
 one after the other, in Morton order, each from the faces that can change it, and wait on disk
-(files/windows.py) until the number of nodes of each level is known.
+(files/octrees/windows.py) until the number of nodes of each level is known.
 
 The workers of a cluster make them beside one another, in windows that are enough for all workers.
 A worker plans its window, and one that does not fit comes back, to be halved again. Windows of a
@@ -21,19 +21,19 @@ import numpy as np
 
 from voxtool.arrays import digest_of
 from voxtool.errors import MemoryLimitError, count_of, human
-from voxtool.files.windows import Key
+from voxtool.files.octrees.windows import Key
 from voxtool.grid import FIXED_POINT_BITS
 from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.subset import mesh_of
 from voxtool.opencl import Device
-from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
-from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
-from voxtool.svo.links import EMPTY
-from voxtool.svo.merge import Subtrees, join, no_subtrees
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import Octree
-from voxtool.svo.plan import VoxelizePlan
+from voxtool.svo.dag.merge import Subtrees, join, no_subtrees
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
+from voxtool.svo.octree.links import EMPTY
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.plan import VoxelizePlan
 from voxtool.tiles.attributed import SurfaceOfWindows
 from voxtool.tiles.merging import merging_bytes, merging_shortage, subtrees_of
 from voxtool.tiles.octree import BlockAttribute, BlockOctree

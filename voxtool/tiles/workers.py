@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.files.windows import Key, Window
+from voxtool.files.octrees.windows import Key, Window
 from voxtool.grid import Grid
 from voxtool.mesh.appearance import Appearance, Material
 from voxtool.mesh.mesh import Mesh
@@ -17,11 +17,11 @@ from voxtool.opencl import Device
 from voxtool.svo.attribution.colours import SurfaceAttributesJob
 from voxtool.svo.attribution.labels import PartLabelsJob
 from voxtool.svo.attribution.labels_window import PartsOfWindows
-from voxtool.svo.fill.pieces import Shared
-from voxtool.svo.flood_window import FloodWindowJob
-from voxtool.svo.merge import merge
-from voxtool.svo.plan import VoxelizePlan
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+from voxtool.svo.dag.merge import merge
+from voxtool.svo.voxelization.fill.flood_pieces import Shared
+from voxtool.svo.voxelization.flood_window import FloodWindowJob
+from voxtool.svo.voxelization.plan import VoxelizePlan
+from voxtool.svo.voxelization.voxelize import VoxelizeJob, plan_voxelize
 from voxtool.tiles.merging import merging_shortage, window_of
 from voxtool.tiles.subtree import codes_of, refuse_smallest, shape_of, subtree_of, voxels_of
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.packing import CHILDREN, pack_blocks, pack_cells
-from voxtool.adf.raycast import COLOUR, checked_offset
+from voxtool.adf.field.packing import CHILDREN, pack_blocks, pack_cells
+from voxtool.adf.pictures.raycast import COLOUR, checked_offset
 from voxtool.viewer.content import PageContent
 
 if TYPE_CHECKING:
-    from voxtool.adf.field import DistanceField
+    from voxtool.adf.field.field import DistanceField
 
 LOOKUP = "lookup.glsl"  # the code of docs/formats.md
 

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from voxtool.adf.field import DistanceField
+from voxtool.adf.field.field import DistanceField
 from voxtool.camera import Camera
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job, Plan
-from voxtool.rendering import Content, camera_for, scene_of
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import Octree
-from voxtool.tets.volume import TetVolume
+from voxtool.pictures.rendering import Content, camera_for, scene_of
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.octree import Octree
+from voxtool.tets.volume.volume import TetVolume
 from voxtool.viewer.content import PageContent
 from voxtool.viewer.fields import field_content
 from voxtool.viewer.octrees import octree_content

@@ -14,15 +14,15 @@ import numpy as np
 
 from voxtool.errors import printable
 from voxtool.palette import palette
-from voxtool.rendering import scene_of
-from voxtool.svo.attribute_levels import BRICKS, CellValues
-from voxtool.svo.attributes import BITS
-from voxtool.svo.counts import BRICK_POWER, check_isovalue, counts_of
-from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.merged import MergedOctree
-from voxtool.svo.octree import VOXEL, Octree, level_number
-from voxtool.svo.painting import BY_DEFAULT
-from voxtool.svo.raycast import COLOUR
+from voxtool.pictures.rendering import scene_of
+from voxtool.svo.attributes.of_cells import BRICKS, CellValues
+from voxtool.svo.cells.counts import BRICK_POWER, check_isovalue, counts_of
+from voxtool.svo.dag.merged import MergedOctree
+from voxtool.svo.octree.attributes import BITS
+from voxtool.svo.octree.layout import BRICK_SIDE
+from voxtool.svo.octree.octree import VOXEL, Octree, level_number
+from voxtool.svo.pictures.painting import BY_DEFAULT
+from voxtool.svo.pictures.raycast import COLOUR
 from voxtool.viewer.content import PageContent
 
 

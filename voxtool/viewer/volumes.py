@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.errors import printable
-from voxtool.tets.surfaces import MOST
-from voxtool.tets.transfer import DEFAULT_MAP, default_transfer, scalar_shares
-from voxtool.tets.volume import ON_PLANE
+from voxtool.tets.pictures.surfaces import MOST
+from voxtool.tets.pictures.transfer import DEFAULT_MAP, default_transfer, scalar_shares
+from voxtool.tets.volume.volume import ON_PLANE
 from voxtool.vector import dot
 from voxtool.viewer.content import PageContent
 
 if TYPE_CHECKING:
-    from voxtool.tets.volume import TetVolume
+    from voxtool.tets.volume.volume import TetVolume
 
 BINS = 64  # of the histogram behind the transfer function
-SEGMENT = "tets/segment.h"  # the kernels' integral of a segment
+SEGMENT = "tets/pictures/segment.h"  # the kernels' integral of a segment
 
 
 def volume_content(volume: TetVolume) -> PageContent:

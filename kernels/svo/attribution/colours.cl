@@ -2,11 +2,11 @@
 // weighted by their areas. Sums are of whole numbers, so that they do not depend on an order. Host side:
 // voxtool/svo/attribution/surface_pass.py. Options: those of scan_conversion.h.
 
-#include "svo/columns.h"
+#include "svo/voxelization/columns.h"
 #include "svo/attribution/colours.h"
 #include "svo/attribution/textures.h"
 #include "svo/attribution/part.h"
-#include "svo/attribution/look.h"
+#include "svo/attribution/materials.h"
 
 #define NO_FACE 0xFFFFFFFFu
 
@@ -85,7 +85,7 @@ void put_box(painter *p, int level, ACTIVE_SET_PARAMETERS, uint3 voxel)
 }
 
 #define RECEIVER painter
-#include "svo/scan_conversion.h"
+#include "svo/voxelization/scan_conversion.h"
 
 // Visit the pairs of a triangle and a voxel of the masks that it touches; see `painter`. Sides of voxels
 // across an axis are common ones from `inner_low` to `inner_high`: a triangle in one counts by half in

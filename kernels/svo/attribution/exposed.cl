@@ -1,10 +1,10 @@
 // Values of exposed voxels that the surface does not meet: those of the nearest point of the surface. Host
 // side: voxtool/svo/attribution/nearest_surface.py. Options: those of columns.h.
 
-#include "svo/columns.h"
+#include "svo/voxelization/columns.h"
 #include "svo/attribution/textures.h"
 #include "svo/attribution/part.h"
-#include "svo/attribution/look.h"
+#include "svo/attribution/materials.h"
 
 double product(double3 a, double3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 

@@ -8,7 +8,7 @@
 // y and z give the faces across these axes. Areas and volumes are rounded to whole numbers of
 // 2^-UNIT_BITS, so that sums do not depend on an order.
 
-#include "svo/columns.h"
+#include "svo/voxelization/columns.h"
 #include "svo/attribution/fraction.h"
 
 #define UNITS ((double)(1ul << UNIT_BITS))

@@ -2,7 +2,7 @@
 // of their faces that lie inside. Host side: voxtool/svo/attribution/fraction_rows.py. Options: those of
 // columns.h.
 
-#include "svo/columns.h"
+#include "svo/voxelization/columns.h"
 #include "svo/attribution/fraction.h"
 
 #define ONE (1l << UNIT_BITS) // a whole voxel, and a whole face of one

@@ -2,7 +2,7 @@
 // side: voxtool/svo/surface/cut_cells.py. Options: VOXELS: samples are voxels and tiles are bricks;
 // FRACTIONS: the same, with how much of each is inside; SAMPLE: the type of coverages and fractions.
 
-#include "svo/octree.h"
+#include "svo/octree/octree.h"
 #include "svo/surface/samples.h"
 
 // A level's nodes start at nodes[first].

@@ -2,7 +2,7 @@
 // [Ju 2002], and quads split along features. Host side: voxtool/svo/surface/sharp.py. Option: VOXELS.
 
 #include "qef.h"
-#include "svo/fill/crossings.h"
+#include "svo/voxelization/fill/crossings.h"
 #include "svo/surface/cubes.h"
 #include "svo/surface/samples.h"
 #include "svo/surface/relaxation.h"

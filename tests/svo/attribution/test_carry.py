@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import meshes
 import numpy as np
 import pytest
-from helpers_attributes import attributed, scattered, sizes, value_array
-from helpers_cli import run, told
+from helpers import meshes
+from helpers.attributes import attributed, scattered, sizes, value_array
+from helpers.cli import run, told
 
 import voxtool
 from voxtool.files import write_svo
-from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.labels import plan_labels
-from voxtool.svo.booleans import plan_combine
-from voxtool.svo.octree import Octree
-from voxtool.svo.stored_volume import stored_volume
-from voxtool.svo.thin import plan_thin
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.octree.stored_volume import stored_volume
+from voxtool.svo.sets.booleans import plan_combine
+from voxtool.svo.sets.thin import plan_thin
 from voxtool.tiles.combining import CombineWindowsJob
 
 

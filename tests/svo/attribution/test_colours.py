@@ -12,27 +12,27 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_cli import run as run_command
-from helpers_cli import told
+from helpers.cli import run as run_command
+from helpers.cli import told
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError
-from voxtool.files.mesh import load_mesh
+from voxtool.files.meshes.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh import srgb
 from voxtool.mesh.appearance import Appearance, Material, Texture
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
-from voxtool.svo.attribute_image import AttributeImage
-from voxtool.svo.attributes import BITS, check_attributes
-from voxtool.svo.attribution import look
+from voxtool.svo.attribution import materials
 from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
 from voxtool.svo.attribution.surface_pass import INSIDE_COLOUR
-from voxtool.svo.image import VoxelImage
-from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.images.attribute_image import AttributeImage
+from voxtool.svo.images.image import VoxelImage
+from voxtool.svo.octree.attributes import BITS, check_attributes
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.voxelize import plan_voxelize
 
 BOTH, ALL = ("colour", "normal"), ("colour", "normal", "area")
 RED, BLUE, GREEN = (255, 0, 0, 255), (0, 0, 255, 255), (0, 255, 0, 255)
@@ -541,7 +541,7 @@ def test_plans_and_refusals(device: Device) -> None:
     assert "values of exposed voxels" in job.left_out
     assert "values of exposed voxels" not in solid.left_out
     assert solid.cost.device > job_of(mesh, device, grid_of(8), names=("area",)).cost.device
-    assert look.texels_of(mesh.appearance) == 64  # pyright: ignore[reportArgumentType]
+    assert materials.texels_of(mesh.appearance) == 64  # pyright: ignore[reportArgumentType]
     with pytest.raises(
         MeshError, match="it has no colours, no materials and no textures: give a mesh"
     ):

@@ -9,9 +9,9 @@ from fractions import Fraction
 from functools import partial
 from typing import Any
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,17 +22,17 @@ from voxtool.mesh.joining import join
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
-from voxtool.svo.attribute_image import AttributeImage
-from voxtool.svo.attributes import BITS, check_attributes
 from voxtool.svo.attribution import nearest_surface
 from voxtool.svo.attribution.colours import plan_attributes
 from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.attribution.nearest_surface import GRAINS, NearestSurface
 from voxtool.svo.attribution.surface_pass import INSIDE_COLOUR
-from voxtool.svo.image import VoxelImage
-from voxtool.svo.layout import BRICK_VOXELS
-from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import plan_voxelize, voxelize
+from voxtool.svo.images.attribute_image import AttributeImage
+from voxtool.svo.images.image import VoxelImage
+from voxtool.svo.octree.attributes import BITS, check_attributes
+from voxtool.svo.octree.layout import BRICK_VOXELS
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.voxelize import plan_voxelize, voxelize
 
 TRIED = 60  # voxels of an octree whose nearest faces the oracle finds
 BETWEEN = Fraction(0.6180339887498949)  # between whole grains

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise, product
 
-import meshes
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
-from helpers_fractions import share_by, shares_of
+from helpers import meshes
+from helpers.cli import fail, run, told
+from helpers.fractions import share_by, shares_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +19,7 @@ from voxtool.files import write_mesh
 from voxtool.mesh.topology import volume
 from voxtool.selftest.oracles import filled_face
 from voxtool.svo.attribution.fraction import plan_fractions, volume_in_units
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 
 SHAPE = (8, 3, 4)
 # float32 rounds a number below 1 by 2**-25 at most, after whole numbers of 2**-31; the meshes here

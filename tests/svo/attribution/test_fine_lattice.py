@@ -7,17 +7,17 @@ from collections.abc import Iterator
 from fractions import Fraction
 from itertools import product
 
-import meshes
 import numpy as np
 import pytest
-from helpers_fractions import share_by, shares_of
+from helpers import meshes
+from helpers.fractions import share_by, shares_of
 
 import voxtool
 from voxtool.grid import FINEST_BITS, FIXED_POINT_BITS
 from voxtool.selftest.oracles import filled, filled_face
 from voxtool.svo.attribution.fraction import LATTICE_BITS, plan_fractions, volume_in_units
-from voxtool.svo.layout import BRICK_VOXELS
-from voxtool.svo.stored_volume import WHOLE, stored_volume
+from voxtool.svo.octree.layout import BRICK_VOXELS
+from voxtool.svo.octree.stored_volume import WHOLE, stored_volume
 
 SHAPE = (8, 3, 4)
 FLOAT = 2.0**-25 + 2.0**-31  # rounding to float32, after that to whole numbers of 2**-31

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from fractions import Fraction
 from itertools import product
 
-import meshes
 import numpy as np
 import pytest
-from helpers_fractions import share_by, shares_of
+from helpers import meshes
+from helpers.fractions import share_by, shares_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,8 +23,8 @@ from voxtool.svo.attribution.fraction import (
     plan_fractions,
     volume_in_units,
 )
-from voxtool.svo.octree import Octree
-from voxtool.svo.stored_volume import WHOLE, stored_volume
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.octree.stored_volume import WHOLE, stored_volume
 
 SHAPE = (8, 3, 4)
 # float32 rounds a number below 1 by 2**-25 at most, after whole numbers of 2**-31.

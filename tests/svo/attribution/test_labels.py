@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from itertools import product
 
-import meshes
 import numpy as np
-import oracles
 import pytest
-from helpers_attributes import label_array
+from helpers import meshes, oracles
+from helpers.attributes import label_array
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,11 +16,11 @@ from voxtool.errors import MeshWarning, VoxtoolError
 from voxtool.mesh.appearance import Parts
 from voxtool.morton import morton_decode
 from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
-from voxtool.svo.attribution.parts import parts_of
-from voxtool.svo.attribution.pieces import UNITS_OF_AREA
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.mesh_parts import parts_of
+from voxtool.svo.voxelization.part_pieces import UNITS_OF_AREA
 
-ROUNDING = 1e-4  # of a face of a voxel, by voxtool/svo/attribution/pieces.py
+ROUNDING = 1e-4  # of a face of a voxel, by voxtool/svo/voxelization/part_pieces.py
 UNIT = voxtool.Grid((16, 16, 16), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 KINDS = (("solid", False), ("solid", True), ("surface26", False), ("surface6", False))
 
@@ -280,9 +279,9 @@ def test_joined_meshes_know_their_file() -> None:
 
 def test_areas_are_those_of_float64(device) -> None:
     """The area of each piece of random triangles, some of them thousands of voxels long."""
-    from voxtool.svo.attribution import pieces
-    from voxtool.svo.scan import TOUCHED, Scan, find_active_nodes
-    from voxtool.svo.voxelize import plan_voxelize
+    from voxtool.svo.voxelization import part_pieces
+    from voxtool.svo.voxelization.scan_conversion import TOUCHED, Scan, find_active_nodes
+    from voxtool.svo.voxelization.voxelize import plan_voxelize
 
     rng = np.random.default_rng(8)
     for reach, count in ((4096, 40), (1 << 20, 12), (1 << 29, 12)):
@@ -297,12 +296,12 @@ def test_areas_are_those_of_float64(device) -> None:
         counts = np.bitwise_count(octree.bricks)
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.uint32)
         masks = (device.put(octree.bricks), device.put(starts))
-        found = pieces.list_pieces(scan, active, *masks, TOUCHED)
+        found = part_pieces.list_pieces(scan, active, *masks, TOUCHED)
         level = octree.levels()[-1]
         at = 4 * morton_decode(level.codes)[:, None] + morton_decode(np.arange(64))
         bits = octree.bricks[:, None] >> np.arange(64, dtype=np.uint64) & np.uint64(1) == 1
         low = at[bits]
-        areas = pieces.areas_of(scan, found, low) / UNITS_OF_AREA
+        areas = part_pieces.areas_of(scan, found, low) / UNITS_OF_AREA
         of = zip(found.voxels.get(0, found.n), found.faces.get(0, found.n), areas, strict=True)
         pairs = set()
         for voxel, face, area in of:

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import meshes
 import numpy as np
 import pytest
-from helpers_attributes import label_array
-from helpers_cli import fail, run, told, write_obj
+from helpers import meshes
+from helpers.attributes import label_array
+from helpers.cli import fail, run, told, write_obj
 
 import voxtool
 from voxtool.bench.fractions import dense_of
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.mesh.appearance import Parts
 from voxtool.svo.attribution.part_fractions import plan_part_fractions
-from voxtool.svo.stored_volume import stored_volume
+from voxtool.svo.octree.stored_volume import stored_volume
 
 N = 40
 

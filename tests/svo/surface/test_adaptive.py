@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model
-from helpers_attributes import attributed
-from helpers_cli import fail, invoke, told
-from helpers_octree import ball, octree_from_dense
+from helpers import meshes
+from helpers.attributes import attributed
+from helpers.cli import fail, invoke, told
+from helpers.octree import ball, octree_from_dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +22,7 @@ from voxtool.files import write_svo
 from voxtool.grid import Grid
 from voxtool.mesh.topology import check_surface
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import Isosurface
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_attributes import attributed, label_array, scattered, sizes
-from helpers_octree import ball
+from helpers.attributes import attributed, label_array, scattered, sizes
+from helpers.octree import ball
 
 import voxtool
 from voxtool.choices import LABEL_STYLES, VOXEL_FACES
@@ -21,8 +21,8 @@ from voxtool.mesh import srgb
 from voxtool.mesh.appearance import Material
 from voxtool.mesh.topology import check_surface, closed_chain
 from voxtool.morton import morton_decode
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.surface.isosurface import LATTICE
 from voxtool.svo.surface.labelled import plan_labelled

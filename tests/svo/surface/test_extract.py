@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from helpers_octree import ball, octree_from_dense
+from helpers.octree import ball, octree_from_dense
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import meshes
 import numpy as np
 import pytest
+from helpers import meshes
 
 import voxtool
 from voxtool.errors import VoxtoolError
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.extract import plan_extract
 
 STYLES = ("marching-cubes", "surface-nets")

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
-from helpers_attributes import attributed, label_array, labelled
-from helpers_octree import ball, octree_from_dense
+from helpers import meshes
+from helpers.attributes import attributed, label_array, labelled
+from helpers.octree import ball, octree_from_dense
 
 import voxtool
 from voxtool.choices import LABEL_STYLES, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import FileError, MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.mesh.topology import check_surface
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST
 from voxtool.svo.surface.labelled import LabelledSurface, plan_labelled
 from voxtool.svo.surface.plan import RELAXATIONS

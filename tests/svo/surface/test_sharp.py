@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import meshes
 import numpy as np
 import pytest
 from conftest import model
-from helpers_cli import fail, run, write_obj
-from helpers_octree import octree_from_dense
+from helpers import meshes
+from helpers.cli import fail, run, write_obj
+from helpers.octree import octree_from_dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from svo.test_voxelize import lattice_grid, lattice_mesh
+from svo.voxelization.test_voxelize import lattice_grid, lattice_mesh
 
 import voxtool
 from voxtool.errors import MeshError, VoxtoolError

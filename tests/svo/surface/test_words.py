@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers_octree import octree_from_dense
+from helpers.octree import octree_from_dense
 
 from voxtool.morton import morton_decode
 from voxtool.svo.surface.samples import WORD_LEVELS, Sampling, grow_tree

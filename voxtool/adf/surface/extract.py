@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from voxtool.adf.field import DistanceField
-from voxtool.adf.raycast import checked_offset, local_offset
+from voxtool.adf.field.field import DistanceField
+from voxtool.adf.pictures.raycast import checked_offset, local_offset
 from voxtool.adf.surface import dual
 from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.adf.surface.leaves import COORDINATE_BITS, Leaves, vertices_near

@@ -18,9 +18,9 @@ from functools import cached_property
 
 import numpy as np
 
-from voxtool.adf.cells import cell_of
-from voxtool.adf.field import DistanceField
-from voxtool.adf.raycast import refined_children
+from voxtool.adf.field.cells import cell_of
+from voxtool.adf.field.field import DistanceField
+from voxtool.adf.pictures.raycast import refined_children
 from voxtool.adf.surface.thin import ROUNDING, beside_thin, join_specks
 from voxtool.morton import morton_decode
 

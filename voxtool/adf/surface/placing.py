@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from voxtool.adf.field import DistanceField
-from voxtool.adf.host_query import trilinear, trilinear_gradient
+from voxtool.adf.field.field import DistanceField
+from voxtool.adf.field.host_query import trilinear, trilinear_gradient
 from voxtool.adf.surface.dual import Crossings
 from voxtool.adf.surface.leaves import CORNERS, Leaves, Vertices
 from voxtool.adf.surface.thin import ROUNDING, moved_onto

@@ -7,7 +7,7 @@ it. Quadrilaterals are split along features. Vertices of faces that pass through
 the surface without features, and then to the centres of their leaves, where surfaces intersect
 less often.
 
-Kernel: kernels/adf/features.cl.
+Kernel: kernels/adf/surface/features.cl.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
     from voxtool.spatial.distance import TriangleDistance
 
-SOURCE = "adf/features.cl"
+SOURCE = "adf/surface/features.cl"
 REACH = 1  # of a leaf's edges, beyond it, that a vertex may be
 SMALL_STEPS = (256, 64, 16)  # untangle vertices in a row on an edge, which rounding entangles
 NEAR_PLANES = 2.0**-20  # mean squared distance in edges of a leaf up to which a diagonal is near
 ON_THE_MESH = 2.0**-26  # of the extent: rounding decides the direction to a point as near
 QEF_NUMBERS = 14  # of float64 in a `qef` of kernels/qef.h
-HEADERS = {"adf/features.h": program.c_constants(MARGIN=MARGIN, REACH=REACH)}
+HEADERS = {"adf/surface/features.h": program.c_constants(MARGIN=MARGIN, REACH=REACH)}
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ import math
 
 import numpy as np
 
-from voxtool.adf.cells import cell_of
-from voxtool.adf.field import DistanceField
-from voxtool.adf.host_query import trilinear, trilinear_gradient
-from voxtool.adf.levels import BLOCK
+from voxtool.adf.construction.stages import BLOCK
+from voxtool.adf.field.cells import cell_of
+from voxtool.adf.field.field import DistanceField
+from voxtool.adf.field.host_query import trilinear, trilinear_gradient
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_encode
 

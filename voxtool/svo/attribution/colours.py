@@ -38,7 +38,7 @@ from voxtool.svo.attribution.exposed import (
     exposed_voxels,
     with_exposed,
 )
-from voxtool.svo.attribution.look import (
+from voxtool.svo.attribution.materials import (
     NO_LOOK,
     check_look,
     look_arguments,
@@ -51,19 +51,13 @@ from voxtool.svo.attribution.nearest_surface import (
     programs,
     search_bytes,
 )
-from voxtool.svo.attribution.surface_pass import (
-    SOURCE,
-    VALUES,
-    Pass,
-    SurfaceValues,
-    without_values,
-)
-from voxtool.svo.layout import BRICK_BYTES, NODE_BYTES
-from voxtool.svo.octree import Octree
-from voxtool.svo.plan import VoxelizePlan
-from voxtool.svo.scan import SOURCE as SCAN
-from voxtool.svo.scan import ActiveNodes, Scan, find_active_nodes
-from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+from voxtool.svo.attribution.surface_pass import SOURCE, VALUES, Pass, SurfaceValues, without_values
+from voxtool.svo.octree.layout import BRICK_BYTES, NODE_BYTES
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.voxelization.plan import VoxelizePlan
+from voxtool.svo.voxelization.scan_conversion import SOURCE as SCAN
+from voxtool.svo.voxelization.scan_conversion import ActiveNodes, Scan, find_active_nodes
+from voxtool.svo.voxelization.voxelize import VoxelizeJob, plan_voxelize
 
 AREA_BYTES, COLOUR_BYTES, NORMAL_BYTES, INDEX_BYTES = 8, 36, 36, 8  # of a surface voxel
 EXPOSED = "exposed voxels"  # a stage

@@ -15,9 +15,9 @@ import numpy as np
 
 from voxtool.morton import among, distinct, morton_decode, morton_encode
 from voxtool.opencl import Device
-from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.nearest_surface import NearestSurface
-from voxtool.svo.layout import (
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.layout import (
     AT_ONCE,
     BRICK,
     BRICK_BYTES,
@@ -29,11 +29,11 @@ from voxtool.svo.layout import (
     unpack_bits,
     voxels_within,
 )
-from voxtool.svo.links import FULL, REFINED, states_of
-from voxtool.svo.morphology import Element, batch_of, erode
-from voxtool.svo.octree import Octree
-from voxtool.svo.prune import ALL_VOXELS
-from voxtool.svo.tiling import LEVEL, Box, Tiling
+from voxtool.svo.octree.links import FULL, REFINED, states_of
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.octree.prune import ALL_VOXELS
+from voxtool.svo.sets.morphology import Element, batch_of, erode
+from voxtool.svo.sets.tiling import LEVEL, Box, Tiling
 
 Bricks = tuple[np.ndarray, np.ndarray]  # Morton codes of bricks, ascending, and their masks
 TILE_COPIES = 4  # of the bricks that are eroded

@@ -39,16 +39,23 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import volume
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.svo.attributes import Attribute
 from voxtool.svo.attribution.fraction_rows import FACES, Parts, Shares, sum_rows
-from voxtool.svo.exact_sums import whole_sum
-from voxtool.svo.layout import BRICK, BRICK_BYTES
-from voxtool.svo.octree import Octree
-from voxtool.svo.plan import VoxelizePlan
-from voxtool.svo.scan import COVERED, MET, TOUCHED, ActiveNodes, Scan, add_nodes
-from voxtool.svo.scan import SOURCE as SCAN
-from voxtool.svo.stored_volume import WHOLE
-from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.exact_sums import whole_sum
+from voxtool.svo.octree.layout import BRICK, BRICK_BYTES
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.octree.stored_volume import WHOLE
+from voxtool.svo.voxelization.plan import VoxelizePlan
+from voxtool.svo.voxelization.scan_conversion import (
+    COVERED,
+    MET,
+    TOUCHED,
+    ActiveNodes,
+    Scan,
+    add_nodes,
+)
+from voxtool.svo.voxelization.scan_conversion import SOURCE as SCAN
+from voxtool.svo.voxelization.voxelize import VoxelizeJob, Window, plan_voxelize
 
 SOURCE = "svo/attribution/fraction.cl"
 TYPES = {kind: np.dtype(f"<{kind}") for kind in FRACTION_TYPES}

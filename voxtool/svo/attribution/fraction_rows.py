@@ -16,10 +16,10 @@ import numpy as np
 
 from voxtool.morton import distinct, morton_decode
 from voxtool.opencl import Array, Device, program
-from voxtool.svo.layout import BRICK
-from voxtool.svo.octree import Octree
-from voxtool.svo.plan import CELL
-from voxtool.svo.stored_volume import WHOLE
+from voxtool.svo.octree.layout import BRICK
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.octree.stored_volume import WHOLE
+from voxtool.svo.voxelization.plan import CELL
 
 SOURCE = "svo/attribution/fraction_rows.cl"
 UNIT_BITS = 40  # areas and volumes are whole numbers of 2**-40 of a face and of a voxel

@@ -6,7 +6,7 @@ in the voxel. Parts that are closed lie side by side in one larger grid and are 
 (atlas.py); others one after the other.
 
 The stages: find the parts; voxelize the closed ones; voxelize the others; unite them (paint.py); in
-a surface, measure the areas in voxels of several parts (pieces.py).
+a surface, measure the areas in voxels of several parts (part_pieces.py).
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Array, Device, default_device
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.attribution import pieces
-from voxtool.svo.attribution.atlas import Atlas, plan_parts
-from voxtool.svo.attribution.paint import Nodes, Union, painted, unite
-from voxtool.svo.attribution.parts import PartMesh, parts_of, ranks_of
-from voxtool.svo.connected.about import CONNECTED, RULE, about_connected, united
-from voxtool.svo.layout import BRICK_VOXELS
-from voxtool.svo.octree import Octree
-from voxtool.svo.scan import SEPARATING, TOUCHED, Scan, add_nodes
-from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.layout import BRICK_VOXELS
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.sets.priority_union import Nodes, Union, painted, unite
+from voxtool.svo.voxelization import part_pieces
+from voxtool.svo.voxelization.connected.about import CONNECTED, RULE, about_connected, united
+from voxtool.svo.voxelization.mesh_parts import PartMesh, parts_of, ranks_of
+from voxtool.svo.voxelization.part_octrees import Atlas, plan_parts
+from voxtool.svo.voxelization.scan_conversion import SEPARATING, TOUCHED, Scan, add_nodes
+from voxtool.svo.voxelization.voxelize import VoxelizeJob, Window, plan_voxelize
 
 UNITE, AREAS = "unite parts", "areas"
 SHARED_BYTES = 64  # bytes of the union on device and host, a brick, beside its values
@@ -289,8 +289,8 @@ class PartLabelsJob(Job[Octree]):
         active = add_nodes(scan, union.codes)
         starts = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.uint32)
         kind = SEPARATING if self.plan.mode == "surface6" else TOUCHED
-        found = pieces.list_pieces(scan, active, masks, self.device.put(starts), kind)
-        areas = pieces.areas_of(scan, found, corners)
+        found = part_pieces.list_pieces(scan, active, masks, self.device.put(starts), kind)
+        areas = part_pieces.areas_of(scan, found, corners)
         return areas, found.voxels.get(0, found.n), found.faces.get(0, found.n)
 
     @property

@@ -15,10 +15,10 @@ import numpy as np
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.svo.attribution.atlas import atlas_of, voxels_of
 from voxtool.svo.attribution.labels import PartLabelsJob, PartLabelsPlan
-from voxtool.svo.attribution.parts import PartMesh
-from voxtool.svo.voxelize import Window, plan_voxelize
+from voxtool.svo.voxelization.mesh_parts import PartMesh
+from voxtool.svo.voxelization.part_octrees import atlas_of, voxels_of
+from voxtool.svo.voxelization.voxelize import Window, plan_voxelize
 
 BEYOND = "reaches beyond the window"
 Rule = tuple[str, int]  # a fill, and the gap that a flood closes

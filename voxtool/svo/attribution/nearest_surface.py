@@ -32,10 +32,10 @@ from voxtool.spatial.distance import (
     rounded_bytes,
 )
 from voxtool.spatial.distance import SOURCE as DISTANCE
-from voxtool.svo.attribution.look import NO_LOOK, look_arguments
+from voxtool.svo.attribution.materials import NO_LOOK, look_arguments
 from voxtool.svo.attribution.surface_pass import VALUES, scale_of
-from voxtool.svo.lattice import fixed_of
-from voxtool.svo.plan import COLUMN_TILE
+from voxtool.svo.voxelization.lattice import fixed_of
+from voxtool.svo.voxelization.plan import COLUMN_TILE
 
 SOURCE = "svo/attribution/exposed.cl"
 OPTIONS: dict[str, int | str] = {"CODE": "uint", "COLUMN_TILE": COLUMN_TILE}

@@ -21,7 +21,6 @@ from voxtool.job import Cost
 from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device
-from voxtool.svo.attributes import BITS, BRICKS, Attribute
 from voxtool.svo.attribution.fraction import (
     LATTICE_BITS,
     MODE,
@@ -30,16 +29,12 @@ from voxtool.svo.attribution.fraction import (
     plan_fractions,
     values_of,
 )
-from voxtool.svo.attribution.labels import (
-    UNITE,
-    PartLabelsJob,
-    PartLabelsPlan,
-    dtype_of_labels,
-)
-from voxtool.svo.attribution.paint import NONE, Union, unite
-from voxtool.svo.attribution.parts import PartMesh, parts_of, ranks_of
-from voxtool.svo.octree import Octree
-from voxtool.svo.stored_volume import WHOLE
+from voxtool.svo.attribution.labels import UNITE, PartLabelsJob, PartLabelsPlan, dtype_of_labels
+from voxtool.svo.octree.attributes import BITS, BRICKS, Attribute
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.octree.stored_volume import WHOLE
+from voxtool.svo.sets.priority_union import NONE, Union, unite
+from voxtool.svo.voxelization.mesh_parts import PartMesh, parts_of, ranks_of
 
 WHY = "each part has fractions of its own"
 SHARE_BYTES = 64 * (8 + 4 + 4)  # bytes of a brick: sums, greatest shares and their parts

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from voxtool.choices import COLOURS, FILLS, FRACTION, FRACTION_TYPES, NAMED, PRIORITIES
 from voxtool.errors import VoxtoolError
 from voxtool.grid import Grid
-from voxtool.svo.voxelize import check_connected, plan_voxelize
+from voxtool.svo.voxelization.voxelize import check_connected, plan_voxelize
 
 if TYPE_CHECKING:
     from voxtool.mesh.appearance import Parts
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from voxtool.svo.attribution.colours import SurfaceAttributesJob
     from voxtool.svo.attribution.fraction import FractionJob
     from voxtool.svo.attribution.labels import PartLabelsJob
-    from voxtool.svo.voxelize import VoxelizeJob, Window
+    from voxtool.svo.voxelization.voxelize import VoxelizeJob, Window
 
 
 def plan_octree(

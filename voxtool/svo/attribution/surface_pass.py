@@ -13,9 +13,9 @@ import numpy as np
 
 from voxtool.grid import Grid
 from voxtool.opencl import Array, program
-from voxtool.svo.attributes import Attribute
-from voxtool.svo.layout import BRICK, held_in
-from voxtool.svo.scan import ActiveNodes, Scan
+from voxtool.svo.octree.attributes import Attribute
+from voxtool.svo.octree.layout import BRICK, held_in
+from voxtool.svo.voxelization.scan_conversion import ActiveNodes, Scan
 
 SOURCE = "svo/attribution/colours.cl"
 OPPOSED = 1 << 16  # a sum of normals shorter than this share of the area is 0

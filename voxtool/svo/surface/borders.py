@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.svo.attributes import BITS
-from voxtool.svo.blocks import keys_of
-from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS
-from voxtool.svo.octree import Octree
+from voxtool.svo.images.blocks import keys_of
+from voxtool.svo.octree.attributes import BITS
+from voxtool.svo.octree.layout import BRICK_SIDE, BRICK_VOXELS
+from voxtool.svo.octree.octree import Octree
 
 AXES = np.eye(3, dtype=np.int64)
 STEPS = keys_of(AXES).tolist()  # between keys of corners, along each axis

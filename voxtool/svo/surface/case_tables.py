@@ -27,7 +27,7 @@ import numpy as np
 
 from voxtool.morton import morton_encode
 from voxtool.opencl import program
-from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS
+from voxtool.svo.octree.layout import BRICK_SIDE, BRICK_VOXELS
 
 CASES = 256
 MAX_LOOPS = 4  # of a case

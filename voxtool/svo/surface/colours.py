@@ -17,11 +17,11 @@ from voxtool.choices import VOXEL_FACES
 from voxtool.mesh import srgb
 from voxtool.morton import morton_encode
 from voxtool.opencl import Device
-from voxtool.svo.attribute_levels import CellValues
-from voxtool.svo.attributes import COLOUR
-from voxtool.svo.octree import Octree
-from voxtool.svo.painting import part_of, values_of_cubes
-from voxtool.svo.query import OctreeQuery
+from voxtool.svo.attributes.of_cells import CellValues
+from voxtool.svo.octree.attributes import COLOUR
+from voxtool.svo.octree.octree import Octree
+from voxtool.svo.pictures.painting import part_of, values_of_cubes
+from voxtool.svo.queries.query import OctreeQuery
 from voxtool.svo.surface.isosurface import LATTICE, LATTICE_BITS, in_world
 
 CHUNK = 1 << 17  # vertices or faces at once

@@ -26,8 +26,8 @@ import numpy as np
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.octree import VOXEL, Octree
+from voxtool.svo.octree.layout import BRICK_SIDE
+from voxtool.svo.octree.octree import VOXEL, Octree
 from voxtool.svo.surface.isosurface import Features, Lost
 from voxtool.svo.surface.samples import FULL_VOXEL, WORD_LEVELS, Sampling, Tree
 from voxtool.svo.surface.words import find_words

@@ -37,10 +37,10 @@ from voxtool.job import Job, one_call
 from voxtool.memory import available_memory
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device
-from voxtool.svo.attributes import has_colours
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.octree import VOXEL, Octree, level_number
+from voxtool.svo.octree.attributes import has_colours
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.layout import BRICK_SIDE
+from voxtool.svo.octree.octree import VOXEL, Octree, level_number
 from voxtool.svo.surface.cut_cells import MAX_LEVEL, Extracted, Tiles, find_tiles, lost_of
 from voxtool.svo.surface.dual import dual_surface
 from voxtool.svo.surface.isosurface import Isosurface, Lost

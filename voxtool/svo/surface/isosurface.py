@@ -18,7 +18,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain
 from voxtool.mesh.topology import volume as volume_of
 from voxtool.opencl import program
-from voxtool.svo.exact_sums import whole_sum
+from voxtool.svo.octree.exact_sums import whole_sum
 from voxtool.vector import unit
 
 if TYPE_CHECKING:

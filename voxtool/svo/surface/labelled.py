@@ -25,9 +25,9 @@ from voxtool.job import Cost, Job, Plan
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import closed_chain
 from voxtool.opencl import Device
-from voxtool.svo.attributes import has_colours
-from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.attributes import has_colours
+from voxtool.svo.octree.layout import BRICK_SIDE
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.borders import AT_ONCE, Blocks, find_borders
 from voxtool.svo.surface.colours import surface_colours
 from voxtool.svo.surface.isosurface import enclosed, in_world, painted, six_volumes

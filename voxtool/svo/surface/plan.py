@@ -11,8 +11,8 @@ from voxtool.errors import MemoryLimitError
 from voxtool.job import Cost, Plan
 from voxtool.opencl.histopyramid import pyramid_bytes
 from voxtool.spatial.bvh import tree_bytes
-from voxtool.svo.layout import BRICK_BYTES
-from voxtool.svo.octree import VOXEL
+from voxtool.svo.octree.layout import BRICK_BYTES
+from voxtool.svo.octree.octree import VOXEL
 from voxtool.svo.surface.samples import WORD_LEVELS
 
 BESIDE, MOST_BESIDE = 6, 27  # words beside a word of a surface, and beside a single one

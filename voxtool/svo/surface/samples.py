@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, NODE, VALID
-from voxtool.svo.octree import VOXEL, Octree
+from voxtool.svo.octree.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, NODE, VALID
+from voxtool.svo.octree.octree import VOXEL, Octree
 
 ISOVALUE_BITS = 16  # bits of a fraction of a voxel
 FULL_VOXEL = 1 << 15  # the scalar of a voxel that is wholly inside, of fractions

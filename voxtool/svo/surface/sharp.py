@@ -26,14 +26,14 @@ from voxtool.mesh.lengths import in_units
 from voxtool.mesh.mesh import Mesh, check_source
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Array, Device, program
-from voxtool.svo.content import OctreeContent
-from voxtool.svo.fill.rows import list_crossings
-from voxtool.svo.lattice import place_mesh
-from voxtool.svo.octree import Octree
-from voxtool.svo.plan import plan_of
-from voxtool.svo.scan import Scan
+from voxtool.svo.octree.content import OctreeContent
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.cut_cells import Tiles
 from voxtool.svo.surface.isosurface import Features
+from voxtool.svo.voxelization.fill.rows import list_crossings
+from voxtool.svo.voxelization.lattice import place_mesh
+from voxtool.svo.voxelization.plan import plan_of
+from voxtool.svo.voxelization.scan_conversion import Scan
 
 SOURCE = "svo/surface/sharp.cl"
 OPEN, FREE, CONSTRAINED = range(3)  # vertices without a plane, at a minimum, and beside one

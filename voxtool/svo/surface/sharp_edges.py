@@ -11,7 +11,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import next_sides, topology_of
 from voxtool.opencl import Device
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree.octree import Octree
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.vector import cross, dot, length
 

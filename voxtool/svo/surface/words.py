@@ -17,8 +17,8 @@ import numpy as np
 
 from voxtool.morton import AXIS, among, morton_step
 from voxtool.opencl import program
-from voxtool.svo.layout import LINK, descend
-from voxtool.svo.links import FULL, REFINED, states_of
+from voxtool.svo.octree.layout import LINK, descend
+from voxtool.svo.octree.links import FULL, REFINED, states_of
 from voxtool.svo.surface.samples import Tree
 
 NOWHERE = np.uint32(0xFFFFFFFF)  # a place that holds no word
