@@ -1,0 +1,1 @@
+"""What pictures of all content share: rendering, legends, slices."""

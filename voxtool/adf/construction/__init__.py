@@ -1,0 +1,1 @@
+"""Mesh or image to distance field."""

@@ -1,0 +1,1 @@
+"""Queries of distance fields on the device: at points and on grids."""

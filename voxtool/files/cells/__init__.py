@@ -1,0 +1,1 @@
+"""Meshes of volume cells, and tetrahedral volumes."""

@@ -1,0 +1,1 @@
+"""Distance fields as HDF5."""

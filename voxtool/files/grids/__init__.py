@@ -1,0 +1,1 @@
+"""Voxels and images of other programs: a module for each format."""

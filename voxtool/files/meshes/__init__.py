@@ -1,0 +1,1 @@
+"""Triangle meshes: a module for each format."""

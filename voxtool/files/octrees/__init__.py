@@ -1,0 +1,1 @@
+"""Octrees as HDF5 and XML, and windows that wait on the disk."""

@@ -1,0 +1,1 @@
+"""Pictures, animations, pages and transfer functions."""

@@ -1,0 +1,1 @@
+"""Points and answers as tables, and tars of samples."""

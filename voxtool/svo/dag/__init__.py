@@ -1,0 +1,1 @@
+"""Merged octrees: equal subtrees stored once, as a directed acyclic graph."""

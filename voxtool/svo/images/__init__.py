@@ -1,0 +1,1 @@
+"""An octree as an image: blocks, slabs and layers, for exports."""

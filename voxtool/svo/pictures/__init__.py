@@ -1,0 +1,1 @@
+"""Pictures of octrees: ray casting, colours, upper levels."""

@@ -1,0 +1,1 @@
+"""Queries of octrees at points."""

@@ -1,0 +1,1 @@
+"""Operations on sets of voxels: booleans, morphology, components, resampling, thinning."""

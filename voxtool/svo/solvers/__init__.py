@@ -1,0 +1,1 @@
+"""Octrees for solvers: hexahedra, and links of lattices that cross the wall."""

@@ -1,0 +1,1 @@
+"""Mesh of volume cells to the textures of a volume."""

@@ -1,0 +1,1 @@
+"""Pictures of volumes: ray casting, projection, transfer functions, isosurfaces."""

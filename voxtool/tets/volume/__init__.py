@@ -1,0 +1,1 @@
+"""The tetrahedral volume as data."""

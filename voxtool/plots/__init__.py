@@ -1,1 +1,0 @@
-"""Legends, slices and charts."""
