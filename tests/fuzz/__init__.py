@@ -6,4 +6,4 @@
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))  # meshes.py and helpers_tets.py
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for helpers

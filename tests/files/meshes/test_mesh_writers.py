@@ -331,7 +331,7 @@ def test_no_faces(kind: str, vertices: int, tmp_path: Path) -> None:
 def test_bytes_depend_on_the_mesh_alone(tmp_path: Path) -> None:
     """Twice here, and in other processes, whose hashes differ."""
     code = (
-        "import meshes\n"
+        "from helpers import meshes\n"
         "v, f = meshes.icosphere(1, 0.1); m = voxtool.mesh_from_arrays(v, f)\n"
         "for k in sys.argv[2:]: voxtool.write_mesh(m, f'{sys.argv[1]}.{k}')\n"
         "for k in ('obj', 'ply', 'glb'):\n"
@@ -348,7 +348,7 @@ def test_bytes_depend_on_the_mesh_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", [None, "glb"])
 def test_stdout(kind: str | None, tmp_path: Path) -> None:
-    code = f"import meshes; voxtool.write_mesh(meshes.torus(), '-', format={kind!r})"
+    code = f"from helpers import meshes; voxtool.write_mesh(meshes.torus(), '-', format={kind!r})"
     done = run_python(code)
     assert (done.returncode, done.stderr) == (0, b"")
     path = tmp_path / f"a.{kind or 'obj'}"

@@ -228,7 +228,7 @@ def test_stdin_and_stdout(kind: str) -> None:
     assert_same(from_bytes(schema, done.stdout), golden())
 
 
-WRITE = "from helpers_octree import golden_octree\nvoxtool.write_svo(golden_octree(), sys.argv[1])"
+WRITE = "from helpers.octree import golden_octree\nvoxtool.write_svo(golden_octree(), sys.argv[1])"
 
 
 def test_a_stdout_that_cannot_be_written_is_one_line() -> None:

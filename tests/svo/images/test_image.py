@@ -22,7 +22,7 @@ SHAPES = {
     "all": np.ones((20, 8, 16), bool),
     "thin": np.ones((1, 1, 8), bool),
 }
-BOX = (-1, 0.12, -0.2, 1.2, 2.1, 1.7)  # of the world of helpers_octree
+BOX = (-1, 0.12, -0.2, 1.2, 2.1, 1.7)  # of the world of helpers.octree
 
 
 def dense_image(dense: np.ndarray, image: VoxelImage) -> np.ndarray:

@@ -13,7 +13,7 @@ The stages, on the device:
 [voCCeL] descends the octree to find the brick of a voxel, from the root or from the common ancestor
 with the last; here, the rank of its level-1 node among the active nodes gives the brick directly.
 [voCCeL] links x-neighbours and propagates flips level by level; here, rows walk the octree. A plan
-can force the former (kernels/svo/voxelization/columns.h, fill/levels.py).
+can force the former (kernels/svo/voxelization/columns.h, fill/propagation.py).
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 // From the flips of rows along x to inside voxels and inside leaves, level by level ([voCCeL], section
-// 3.2, fig. 3.6, listings A.2, A.3 and A.7 to A.12). Host side: voxtool/svo/voxelization/fill/levels.py. Options:
+// 3.2, fig. 3.6, listings A.2, A.3 and A.7 to A.12). Host side: voxtool/svo/voxelization/fill/propagation.py. Options:
 // CODE.
 //
 // before[i] and after[i] are the neighbours of node i along x at its level, or NOWHERE. flip[i] tells

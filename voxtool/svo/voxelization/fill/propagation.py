@@ -9,7 +9,7 @@ bricks.
 A flip is one bit of a node, so this serves only where the rows that enter a leaf agree: in closed
 meshes whose grid ends in no leaf that is inside.
 
-Kernels: kernels/svo/voxelization/fill/levels.cl.
+Kernels: kernels/svo/voxelization/fill/propagation.cl.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from voxtool.opencl import Array
 from voxtool.svo.octree.build import DeviceOctree
 from voxtool.svo.octree.layout import BRICK
 
-SOURCE = "svo/voxelization/fill/levels.cl"
+SOURCE = "svo/voxelization/fill/propagation.cl"
 NOWHERE = np.uint32(0xFFFFFFFF)
 
 
