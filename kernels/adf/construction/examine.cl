@@ -290,7 +290,7 @@ bool examined(child_list *list, child_cell *c, bounded_block *block, double tole
 // For each child c of block c / 8, with the distance centres[c] at its centre: flags[c] = 1 if it is
 // to be refined. errors[c] = the sampled error of a leaf, in cube edges, if it exceeds the
 // tolerance; otherwise anything up to that; 0 beyond the band and -1 at a sign discontinuity.
-// codes[c] = the code of its bound. kinds[c] = THIN or LEFT
+// codes[c] = the code of its bound. kinds[c] = THIN_LEAF or LEFT_LEAF
 // if it is such a leaf, otherwise 0.
 __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #ifdef WINDING
@@ -364,7 +364,7 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
         needed[place] = list.count;
         flags[place] = refined;
         errors[place] = jumped ? -1 : c.beyond ? 0 : (float)(c.error / side);
-        kinds[place] = refined ? 0 : c.thin ? THIN : c.left ? LEFT : 0;
+        kinds[place] = refined ? 0 : c.thin ? THIN_LEAF : c.left ? LEFT_LEAF : 0;
         codes[place] = jumped ? JUMP : code_of(c.bound / side, bounds);
         if (!refined && !jumped && c.slope > slope_of_leaves)
             slope_of_leaves = (float)c.slope;

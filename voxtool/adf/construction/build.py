@@ -18,8 +18,8 @@ import numpy as np
 from voxtool.adf.construction.accuracy import helped_by_depth, measure_errors
 from voxtool.adf.construction.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.adf.construction.stages import (
-    LEFT,
-    THIN,
+    LEFT_LEAF,
+    THIN_LEAF,
     Construction,
     Examined,
     Level,
@@ -368,11 +368,11 @@ class _Build:
             self.unproved += int(np.count_nonzero((found.codes > least) & leaves))
         self.codes.append(np.where(leaves, found.codes, np.uint8(NO_LEAF)))
         self.jumps += int(np.count_nonzero((errors < 0) & leaves))
-        self.thin += int(np.count_nonzero(found.kinds == THIN))
+        self.thin += int(np.count_nonzero(found.kinds == THIN_LEAF))
         over = np.flatnonzero((errors > np.float32(self.plan.tolerance)) & leaves)
         if not len(over):
             return
-        left = found.kinds[over] == LEFT
+        left = found.kinds[over] == LEFT_LEAF
         helped = helped_by_depth(found.voxels, over, errors[over], level.number + 1) & ~left
         self.missed += int(np.count_nonzero(helped))
         self.medial += int(np.count_nonzero(~helped))

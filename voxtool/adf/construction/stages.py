@@ -39,7 +39,10 @@ LONG = 128  # triangles of a block, from which on they are in bundles, and a few
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
-THIN, LEFT = 1, 2  # leaves: the mesh is thinner; the tolerance is out of reach, see _hopeless
+THIN_LEAF, LEFT_LEAF = (
+    1,
+    2,
+)  # leaves: the mesh is thinner; the tolerance is out of reach, see _hopeless
 OF_PARENTS = ["parent_values", "parent_states", "parent_neighbours"]
 
 # ---- the points at which a cell is sampled
@@ -93,8 +96,8 @@ HEADERS = {
         UNKNOWN=UNKNOWN,
         OUTSIDE=OUTSIDE,
         INSIDE=INSIDE,
-        THIN=THIN,
-        LEFT=LEFT,
+        THIN_LEAF=THIN_LEAF,
+        LEFT_LEAF=LEFT_LEAF,
     ),
     "adf/construction/sample_points.h": "\n".join(
         [
@@ -332,7 +335,7 @@ class Examined:
 
     voxels : (27 n,) float32, the blocks, in sides; refined : (8 n,) uint32, 1 or 0; errors : (8 n,)
     float32, in sides, -1 at a sign discontinuity; codes : (8 n,) uint8, of the bounds of leaves;
-    kinds : (8 n,) uint8, THIN or LEFT in such leaves.
+    kinds : (8 n,) uint8, THIN_LEAF or LEFT_LEAF in such leaves.
     """
 
     voxels: np.ndarray
