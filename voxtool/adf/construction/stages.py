@@ -39,7 +39,7 @@ LONG = 128  # triangles of a block, from which on they are in bundles, and a few
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
-THIN_LEAF, LEFT_LEAF = (
+THIN_LEAF, LEFT_LEAF = 1, 2  # the mesh is thinner; the tolerance is out of reach, see _hopeless
     1,
     2,
 )  # leaves: the mesh is thinner; the tolerance is out of reach, see _hopeless
