@@ -40,9 +40,6 @@ NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
 THIN_LEAF, LEFT_LEAF = 1, 2  # the mesh is thinner; the tolerance is out of reach, see _hopeless
-    1,
-    2,
-)  # leaves: the mesh is thinner; the tolerance is out of reach, see _hopeless
 OF_PARENTS = ["parent_values", "parent_states", "parent_neighbours"]
 
 # ---- the points at which a cell is sampled
