@@ -157,27 +157,33 @@ EVERY = {
     "": "__main__ arrays choices claims cli errors files job limits memory mesh morton opencl svo"
     " vector version watch",
     "cli": "failures inputs main options placing runner",
-    "files": "atomic formats streams",
+    "files": "formats storage",
+    "files.storage": "atomic streams",
     "mesh": "appearance collinear mesh once topology",
     "opencl": "builder cache device discovery driver headers launch primitives program",
 }
-READ = {"files": "companions mesh numbers obj placement unpacked", "mesh": "watertight"}
-STORED = {"": "grid", "files": "hdf5 schema svo_hdf5",
-          "svo": "attributes content layout links octree validate"}  # fmt: skip
+READ = {"files": "meshes", "files.meshes": "companions mesh obj placement",
+        "files.storage": "numbers unpacked", "mesh": "watertight"}  # fmt: skip
+STORED = {"": "grid", "files": "octrees", "files.octrees": "svo_hdf5",
+          "files.storage": "hdf5 schema", "svo": "octree",
+          "svo.octree": "attributes content layout links octree validate"}  # fmt: skip
 IMPORTED = {
     "voxelize cube.obj --dim 64": [EVERY, READ, STORED, {
         "cli": "in_windows many voxelize", "files": "lattices", "mesh": "lengths", "": "units",
-        "svo": "attribution build connected fill lattice plan scan voxelize",
-        "svo.attribution": "request", "svo.connected": "about", "svo.fill": "rows",
+        "svo": "attribution voxelization", "svo.octree": "build", "svo.attribution": "request",
+        "svo.voxelization": "connected fill lattice plan scan_conversion voxelize",
+        "svo.voxelization.connected": "about", "svo.voxelization.fill": "rows",
     }],
     "extract cube.svo.h5": [EVERY, STORED, {
-        "": "spatial", "cli": "extract", "files": "mesh_writers", "mesh": "srgb",
-        "opencl": "histopyramid", "spatial": "bvh", "svo": "exact_sums surface",
+        "": "spatial", "cli": "extract", "files": "meshes", "files.meshes": "mesh_writers",
+        "mesh": "srgb", "opencl": "histopyramid", "spatial": "bvh", "svo": "surface",
+        "svo.octree": "exact_sums",
         "svo.surface": "case_tables cut_cells dual extract isosurface plan samples words",
     }],
     "distance cube.obj points.txt": [EVERY, READ, {
-        "": "distances spatial", "cli": "distance many", "files": "answers ply points",
-        "mesh": "counts srgb", "svo": "inside",
+        "": "distances spatial", "cli": "distance many", "files": "tables",
+        "files.meshes": "ply", "files.tables": "answers points", "mesh": "counts srgb",
+        "svo": "voxelization", "svo.voxelization": "inside",
         "spatial": "boundary bvh crossings distance fans fill_rule insides pseudonormals"
         " self_intersections signed_distance winding_number",
     }],

@@ -39,7 +39,7 @@ main()
 HALF = """
 import os, sys, time
 from voxtool import files, watch
-from voxtool.files import svo_hdf5
+from voxtool.files.octrees import svo_hdf5
 def write(octree, file):
     file.write(b"half")
     print("written", flush=True)
