@@ -6,11 +6,12 @@ import json
 import shlex
 import shutil
 import subprocess
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import usable_devices
+from conftest import made_once, usable_devices
 from docs.test_docs import parse
 from helpers import meshes
 from helpers.cli import ENVIRONMENT, MODULE, fail, invoke, run, write_obj
@@ -36,7 +37,10 @@ QUICK = f"--quick -q --date today --device {usable_devices()[0][0]}"
 def made(models: Path, tmp_path_factory) -> Path:
     """A folder with bunny.obj and volume.vtu, and out/, their quick report; what was said."""
     pytest.importorskip("matplotlib")
-    folder = tmp_path_factory.mktemp("bench")
+    return made_once(tmp_path_factory, "bench", partial(make_report, models))
+
+
+def make_report(models: Path, folder: Path) -> None:
     for name in ("bunny.obj", "volume.vtu"):
         shutil.copy(models / name, folder)
     words = f"bench all bunny.obj volume.vtu --scalar density --peers -o out {QUICK}"
@@ -46,7 +50,6 @@ def made(models: Path, tmp_path_factory) -> Path:
     )
     assert (done.returncode, done.stderr) == (0, "")
     (folder / "said.txt").write_text(done.stdout)
-    return folder
 
 
 @pytest.fixture(scope="module")
