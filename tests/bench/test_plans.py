@@ -5,14 +5,14 @@ from __future__ import annotations
 from helpers.cli import fail, told
 
 from voxtool.bench.ablation import FIELD, VOXELIZE
-from voxtool.bench.plans import FIELDS, KINDS, VOXELS
+from voxtool.bench.plans import FIELDS, KINDS, VOLUMES, VOXELS
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.mesh.topology import check_surface
 
 
 def test_scenes() -> None:
     """Ten of each wing, which are what their names say."""
-    assert (len(VOXELS), len(FIELDS), len(KINDS)) == (10, 10, 20)
+    assert (len(VOXELS), len(FIELDS), len(VOLUMES), len(KINDS)) == (10, 10, 10, 30)
     for scenes in (VOXELS, FIELDS):
         for name, (shape, *_) in scenes.items():
             found = check_surface(mesh_from_arrays(*shape()))
@@ -32,6 +32,14 @@ def test_what_is_left_out_is_forced() -> None:
     saved = {one["what"]: one["saved_bytes"] for one in found["savings"]}
     assert saved["64-bit Morton codes"] > 0
     assert saved["128-bit predicates"] == 0  # a kernel's private numbers: no buffer
+
+
+def test_transparent_cells_of_a_volume() -> None:
+    (one,) = told("bench plans volume-corner --repeat 1 --json -q")["savings"]
+    assert one["what"] == "transparent cells"
+    assert one["same"]
+    assert one["saved_bytes"] > 1e6
+    assert not told("bench plans volume-whole --repeat 1 --json -q")["savings"]
 
 
 def test_an_unknown_scene() -> None:

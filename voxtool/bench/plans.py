@@ -13,16 +13,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.bench import ablation
+from voxtool.camera import Camera
 from voxtool.choices import MARCHING_CUBES
 from voxtool.distances import plan_field
 from voxtool.errors import VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
+from voxtool.pictures.rendering import plan_render
 from voxtool.selftest.crowds import needles
-from voxtool.selftest.shapes import ball, box, join, octahedron
+from voxtool.selftest.shapes import ball, box, join, octahedron, tetrahedra
 from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.voxelization.voxelize import plan_voxelize
+from voxtool.tets.construction.textures import build_tet
+from voxtool.tets.pictures.transfer import TransferFunction
+from voxtool.tets.volume.mesh import UnstructuredMesh
+from voxtool.vector import length
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -88,7 +94,24 @@ FIELDS = {  # a shape, and what is asked for
     "hollow-ball": (_hollow, {}),
     "plate": (_plate, {}),
 }
-KINDS = (*(f"voxels-{name}" for name in VOXELS), *(f"field-{name}" for name in FIELDS))
+VOLUMES = {  # cubes a side, what is shown of the distances from a corner, and what is asked for
+    "whole": (24, (0.0, 1.0), {}),
+    "outer-half": (24, (0.5, 1.0), {}),
+    "slab": (24, (0.45, 0.55), {}),
+    "corner": (24, (0.0, 0.1), {}),
+    "fine-corner": (48, (0.0, 0.05), {}),
+    "steep-slab": (24, (0.45, 0.46), {}),
+    "projected-whole": (24, (0.0, 1.0), {"method": "projection"}),
+    "projected-slab": (24, (0.45, 0.55), {"method": "projection"}),
+    "corner-behind-surface": (24, (0.0, 0.1), {"isovalues": [0.3]}),
+    "six-cells": (1, (0.0, 1.0), {}),
+}
+PIXELS = 256  # along a side of their pictures
+KINDS = (
+    *(f"voxels-{name}" for name in VOXELS),
+    *(f"field-{name}" for name in FIELDS),
+    *(f"volume-{name}" for name in VOLUMES),
+)
 
 
 def check_kind(name: str) -> None:
@@ -103,6 +126,9 @@ def measure(bench: Bench) -> Iterator[Ablation]:
     if wing == "voxels":
         shape, dim, request = VOXELS[name]
         yield from _of_voxels(mesh_from_arrays(*shape()), dim, request, bench)
+    elif wing == "volume":
+        cubes, shown, request = VOLUMES[name]
+        yield from _of_volume(cubes, shown, request, bench)
     else:
         shape, request = FIELDS[name]
         yield from _of_field(mesh_from_arrays(*shape()), {**FIELD, **request}, bench)
@@ -125,3 +151,23 @@ def _of_field(mesh: Mesh, request: dict[str, Any], bench: Bench) -> Iterator[Abl
     field = replace(job.run())
     points = np.array(field.origin) + field.side * sample_cube(POINTS)
     yield from ablation.of_queries(field, points, bench, f"{POINTS:,} distances, {limits}")
+
+
+def _of_volume(
+    cubes: int, shown: tuple[float, float], request: dict[str, Any], bench: Bench
+) -> Iterator[Ablation]:
+    planes = np.linspace(0, 1, cubes + 1)
+    points, cells = tetrahedra(planes, planes, planes)
+    scalars = length(points) / np.sqrt(3)
+    volume = build_tet(
+        UnstructuredMesh(points, [("tetra", cells)], scalars, "s"),
+        request.get("method", "raycast"),
+        device=bench.timed,
+    )
+    low, high = shown
+    transfer = TransferFunction(
+        np.array([low, (low + high) / 2, high]), np.ones((3, 3)), np.array([0, 1 / (high - low), 0])
+    )
+    rays = Camera.fit(np.zeros(3), np.ones(3), bench.request.view, fov=None).rays(PIXELS, PIXELS)
+    job = plan_render(volume, rays, transfer=transfer, device=bench.timed, **request)
+    yield from ablation.of_picture(job, bench, f"frames of {len(cells):,} cells")
