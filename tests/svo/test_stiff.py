@@ -26,6 +26,7 @@ def test_stiff_scenes(device: Device) -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.long
 def test_a_thousand_stiff_scenes(device: Device, seed: int) -> None:
     for number in range(1000):
         check(1000 * (seed + 1) + number, device)

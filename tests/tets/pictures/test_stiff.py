@@ -29,6 +29,7 @@ def test_random_stiff_scenes(device, kind: str) -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_stiff_scenes(device, kind: str, seed: int) -> None:
     assert error_of(device, kind, range(seed, seed + MANY)) < BOUNDS[kind]
