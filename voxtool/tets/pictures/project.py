@@ -17,7 +17,7 @@ composited once and in order, also in cycles, whatever the size of the buffer.
 Depths are those of the ray caster: of two cells that share a face, one ends and the other begins at
 the same depth. Where cells overlap in space, the later one begins where the earlier one ended. The
 pictures of both methods differ by the rounding of depths and scalars at entries: colours by at most
-1e-5 where the extinction is up to 16 per half of the mesh's size; beyond, both are by walk.py. This
+1e-5 where the extinction is up to 24 per half of the mesh's size; beyond, both are by walk.py. This
 excludes cells that overlap in space, and constant cells on rays in the plane of a face between
 them, where either cell is right.
 

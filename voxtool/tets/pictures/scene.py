@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 TRANSPARENT = "transparent cells"
-STEEP = 16.0  # extinction per local length; the largest by which float32 draws
+STEEP = 24.0  # extinction per local length; the largest by which float32 draws
 BLACK = (0.0, 0.0, 0.0)
 
 
