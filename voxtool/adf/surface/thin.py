@@ -11,6 +11,7 @@ piece has inside vertices in one piece.
 
 At the sharp edge of a part, a few vertices may be inside alone, with no inside vertex at the other
 end of an edge. They are joined to the innermost corner of the leaves around them, along the edges.
+If those have none, vertices outside the mesh are outside again.
 
 The surface around them is then moved towards the part's own sides, along the gradient of the field.
 """
@@ -36,6 +37,7 @@ FLAT = (
     0.9  # of a slope: between two sides of a sheet it is less, and says nothing of where they are
 )
 SPECK = 8  # vertices
+AROUND = (np.indices((5, 5, 5)).reshape(3, -1).T - 2) @ (1, 1 << 21, 1 << 42)  # of keys: 2 edges
 KEPT = 1 / 16  # edges from the surface, so that two sides do not pass through each other
 
 
@@ -76,7 +78,8 @@ def join_specks(
     inside: np.ndarray,
 ) -> None:
     """Add to the vertices that are inside, (v,) bool, those that join pieces of up to SPECK
-    vertices to others.
+    vertices to others; take away pieces that nothing joins, none of whose vertices is in the mesh,
+    within two edges of others.
 
     corners : (n, 8) int64, the vertices of leaves; deepest : (n,) bool, those of the smallest
     leaves; keys : (v,) int64, rising, such that that of the middle of two vertices is the mean;
@@ -106,7 +109,7 @@ def join_specks(
         order = np.lexsort((values[own[rows, corner]], least, name))
         chosen = order[(np.diff(name[order], prepend=-1) != 0) & np.isfinite(least[order])]
         if not len(chosen):
-            return
+            break
         own, at, left = own[chosen], corner[chosen], (corner ^ innermost)[chosen]
         for _ in range(2):  # two corners of a leaf are up to three edges apart
             ways = np.stack([at ^ bit for bit in (1, 2, 4)], axis=1)
@@ -115,6 +118,18 @@ def join_specks(
             going = left & (left - 1) != 0  # not yet beside it
             at, left = np.where(going, at ^ bit, at), np.where(going, left ^ bit, left)
             inside[own[np.arange(len(own)), at]] = True
+    both = inside[low] & inside[high]
+    piece = components(low[both], high[both], len(inside))
+    least = np.full(len(inside), np.inf)
+    np.minimum.at(least, piece[inside], values[inside])
+    small = np.bincount(piece, minlength=len(inside))[piece] <= SPECK
+    alone = np.flatnonzero(small & inside & (least[piece] >= 0))
+    beside = keys[alone, None] + AROUND
+    at = np.minimum(np.searchsorted(keys, beside), len(keys) - 1)
+    others = (keys[at] == beside) & inside[at] & (piece[at] != piece[alone, None])
+    near = np.zeros(len(inside), bool)
+    near[piece[alone[others.any(axis=1)]]] = True
+    inside[alone[near[piece[alone]]]] = False
 
 
 def moved_onto(values: np.ndarray, t: np.ndarray) -> np.ndarray:
