@@ -147,7 +147,7 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
 // found[f] = 1 if another face intersects face f, 0 if none does, UNDECIDED if more than `most` faces
 // are near. Only faces with this `state` in found are examined. corners[3 f + i] are position
 // indices; faces without a name have zero area. Vertices are exact: scaled as local
-// coordinates are, but not moved; `centre` is the origin of these.
+// coordinates are, but not moved; `centre` is the origin of local coordinates.
 __kernel void find_self_intersections(const uint n, __global const uint *names,
                                       __global const double *vertices, __global const int *faces,
                                       __global const int *corners, __global const double *centre,

@@ -1,4 +1,4 @@
-"""What plans leave out, on the generated scenes."""
+"""Ablations of what plans leave out, on the generated scenes."""
 
 from __future__ import annotations
 

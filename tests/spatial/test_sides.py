@@ -32,7 +32,8 @@ def test_without_a_boundary_the_number_is_that_of_the_shell(device) -> None:
 
 
 def test_what_is_asked_for_is_what_is_found_for_all(device) -> None:
-    """Of some faces the same numbers, whether the mesh has a boundary or not, and no others."""
+    """Winding numbers that are asked for in front of some faces are those found for all faces, with
+    a boundary and without."""
     vertices, faces = shapes.ball(3)
     for some in (faces, faces[5:]):
         mesh = mesh_from_arrays(vertices, some)

@@ -57,7 +57,8 @@ def plan_adf(
     are counted from the root, which has level 0; a leaf of level n has an edge of 2**-n. A cell
     through which triangles may pass is refined at least until its edge is 64 tolerances, unless its
     bound is within the tolerance: a wall that no sample hits causes an error of at most half the
-    edge. A cell that two sheets of the mesh cross is refined until it has their signs.
+    edge. A cell that two sheets of the mesh cross
+    is refined until it has their signs, or its edge is within the tolerance.
 
     Parameters
     ----------

@@ -241,7 +241,7 @@ def field_rows(
         "cousins share, too": shared_by_cousins(field),
         "each vertex of a leaf once": peers.vertices,
     }  # fmt: skip
-    cousins = "blocks of eight siblings, and of these eight, and so on, as far as all exist"
+    cousins = "blocks of eight siblings, of eight such blocks, and so on, as far as all exist"
     for way, count in counts.items():
         yield row("[ADF] section 3.1", what="samples", unit="", way=way, voxtool=count,
                   ours=cousins if way.startswith("cousins") else "",

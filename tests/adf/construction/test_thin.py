@@ -83,7 +83,7 @@ def plate(thickness: float) -> Mesh:
 
 
 def whole(field: DistanceField, shells: int = 1) -> float:
-    """Return the volume of a field's surface: closed, and so many pieces without handles."""
+    """Return the volume of a field's surface: closed, in `shells` pieces, without handles."""
     found = extract_field_surface(field).check()
     assert (found["closed"], found["shells"], found["genus"]) == (True, shells, 0)
     return found["volume"]
@@ -124,6 +124,13 @@ def test_a_wedge_is_in_one_piece(device: Device, degrees: float) -> None:
     mesh = mesh_from_arrays(vertices @ TURNED.T, faces)
     field = build_adf(mesh, device, tolerance=4e-3, max_level=7, measure=False)
     assert whole(field) == pytest.approx(slope / 2, rel=0.05)
+
+
+def test_a_vertex_alone_beside_an_edge_is_no_piece(device: Device) -> None:
+    vertices, faces = thin.prism(np.array([(0, 0), (1, 0), (1, math.tan(math.radians(10)))]), 1.0)
+    mesh = mesh_from_arrays(vertices @ TURNED.T, faces)
+    field = build_adf(mesh, device, tolerance=1e-3, max_level=9, measure=False)
+    assert extract_field_surface(field).check()["shells"] == 1
 
 
 def test_a_hollow_ball_has_its_two_shells(device: Device) -> None:

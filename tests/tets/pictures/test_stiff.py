@@ -52,7 +52,7 @@ EYES = [(0.1, -0.2, 0.15), (3.0, 2.0, -4.0), (0.0, 0.0, 0.0)]
 @pytest.mark.parametrize("layout", ["raycast", "projection"])
 @pytest.mark.parametrize("extinction", [40.0, 1e4])
 def test_steep_functions_in_meshes_of_any_shape(device, eye, layout, extinction) -> None:
-    """What is left is the rounding of the vertices and of single precision in the light."""
+    """Errors come from rounding the vertices, and from single precision in the light."""
     points, cells = tet_grid((4, 3, 5), 2, 0.3)
     volume = build_tet(tet_mesh(points, cells, wavy(points)), layout)
     transfer = replace(ramp(-1.5, 1.5, 1.0), extinctions=[0, extinction, 0, extinction / 9])

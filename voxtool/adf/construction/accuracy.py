@@ -83,7 +83,7 @@ def helped_by_depth(
     leaves, errors : (n,) int, (n,) float32
         Children of the blocks, 8 block + octant, and their errors, in sides.
     level : int
-        Level of these leaves.
+        Level of the children.
     """
     blocks, (block, octant) = abs(voxels.reshape(-1, 3, 3, 3)), np.divmod(leaves, 8)
     x, y, z = octant & 1, octant >> 1 & 1, octant >> 2

@@ -3,8 +3,8 @@
 The vertices of leaves inside a sheet or rod thinner than a leaf are few, and far apart. So vertices
 beside it count as inside, too: those that are nearer to the surface than REACH edges, unless the
 field falls by REACH edges from there to a vertex that is a step of one edge along each axis away.
-Beside a part that is thick it does: in one of these eight directions a distance to a plane falls by
-an edge or more. In a sheet of thickness t its least value is -t/2, so the vertices within REACH
+Beside a thick part it does: in one of the eight directions the distance to a plane falls by an edge
+or more. In a sheet of thickness t its least value is -t/2, so the vertices within REACH
 edges of the sheet's middle are inside. Each point of the middle is within sqrt(3)/2 edges of its
 nearest vertex, and where the nearest vertex changes, the two are ends of an edge. So a part in one
 piece has inside vertices in one piece.
