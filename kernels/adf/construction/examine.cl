@@ -71,9 +71,10 @@ typedef struct {
     bool in_doubt, passed, beyond, may_refine, unlike, entered, thin, left;
 } child_cell;
 
-// Whether no level below a child that is far from the mesh, for its edge, would reach the tolerance: its error is larger than
-// where one point of the mesh is nearest, so it lies along the medial axis, and the last level would
-// exceed the tolerance, too; or a corner takes the value of a leaf that was left.
+// Whether refining a child cannot reach the tolerance: it is more than BESIDE edges from the mesh, and
+// either a corner takes the value of a leaf that was left, or its error is larger than where one point of
+// the mesh is nearest, so that it lies along the medial axis, and would exceed the tolerance at the last
+// level, too.
 bool is_vain(const child_cell *c, double error, double tolerance, double hopeless)
 {
     const double near = lowest(absolute(vload8(0, c->corners))) - c->radius;
